@@ -1,0 +1,175 @@
+"""Samples on disk: folders of ``.npy`` arrays with a JSON description, and one manifest over them.
+
+    DIR/manifest.json            what the data are: rows, shards, configuration and its digest
+    DIR/config.yaml              the configuration
+    DIR/shard-00003/meta.json    row range, sha256 and shape of each array, configuration digest
+    DIR/shard-00003/channel.npy  one array a field of :func:`august_jax.data.generate.generate`
+
+A shard is written aside, flushed to the disk and renamed: it is whole or absent, so that a killed run continues
+with the first shard that is missing. Rows are written as memory-mapped arrays are read: in place.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from august_jax.config import Config, data_digest, to_yaml
+from august_jax.data.generate import Sample, generate, prepare_targets
+
+_PIECE = 2000  # rows generated between two progress lines
+
+
+class DataError(ValueError):
+    """Data on disk are missing, damaged, or of another configuration."""
+
+
+def simulate(
+    config: Config,
+    folder: str | Path,
+    *,
+    part: tuple[int, int] = (1, 1),
+    report: Callable[[str], None] = lambda line: None,
+) -> dict:
+    """Make the data of ``config`` in ``folder``, or what of them is still missing.
+
+    Args:
+        config: ``config.data.count`` rows in shards of ``config.data.shard_rows``.
+        folder: created if absent.
+        part: (i, n) writes the i-th of n interleaved sets of shards, i from 1.
+        report: called with lines of progress.
+
+    Returns:
+        The manifest, with ``written`` (rows of this call), ``seconds`` and ``samples_per_s`` added.
+
+    Raises:
+        DataError: the folder holds data of another configuration.
+        ValueError: ``part`` is not 1 <= i <= n.
+    """
+    index, parts = part
+    if not 1 <= index <= parts:
+        raise ValueError(f"shard: got {index}/{parts}; give i/n with 1 <= i <= n, e.g. 2/4")
+    folder = Path(folder)
+    digest = data_digest(config)
+    if (folder / "manifest.json").exists():
+        found = read_manifest(folder)["digest"]
+        if found != digest:
+            raise DataError(
+                f"{folder}: holds data of another configuration (digest {found}, wanted {digest}); "
+                "choose another --out, or remove the folder"
+            )
+    folder.mkdir(parents=True, exist_ok=True)
+    count, size = config.data.count, config.data.shard_rows
+    spans = {number: (start, min(start + size, count)) for number, start in enumerate(range(0, count, size))}
+    missing = [
+        number for number in spans
+        if number % parts == index - 1 and not _complete(folder / shard_name(number), spans[number], digest)
+    ]
+    _write_manifest(folder, config, digest)
+    began = time.perf_counter()
+    written, total = 0, sum(spans[number][1] - spans[number][0] for number in missing)
+    targets = prepare_targets(config, report) if missing else []
+    for number in missing:
+        low, high = spans[number]
+        pieces = []
+        for start in range(low, high, _PIECE):
+            rows = np.arange(start, min(start + _PIECE, high))
+            pieces.append(generate(config, rows, targets))
+            written += len(rows)
+            elapsed = time.perf_counter() - began
+            left = elapsed / written * (total - written)
+            report(f"{written}/{total} samples  {written / elapsed:.1f} samples/s  {left:.0f} s left")
+        fields = {name: np.concatenate([piece[name] for piece in pieces]) for name in pieces[0]}
+        _write_shard(folder, number, fields, (low, high), digest)
+    manifest = _write_manifest(folder, config, digest)
+    seconds = time.perf_counter() - began
+    return manifest | {"written": written, "seconds": seconds, "samples_per_s": written / max(seconds, 1e-9)}
+
+
+def shard_name(number: int) -> str:
+    """Folder name of a shard."""
+    return f"shard-{number:05d}"
+
+
+def read_manifest(folder: str | Path) -> dict:
+    """The manifest of a data folder; :class:`DataError` where there is none."""
+    path = Path(folder) / "manifest.json"
+    try:
+        return json.loads(path.read_text())
+    except FileNotFoundError:
+        raise DataError(f"{folder}: holds no manifest.json; make data with `august simulate --out {folder}`") from None
+    except json.JSONDecodeError as error:
+        raise DataError(f"{path}: is not JSON ({error}); remove it and run `august simulate` again") from None
+
+
+def verify(folder: str | Path) -> None:
+    """Read every array and compare its sha256; :class:`DataError` names the first that differs."""
+    folder = Path(folder)
+    for name in read_manifest(folder)["shards"]:
+        for field, about in json.loads((folder / name / "meta.json").read_text())["arrays"].items():
+            path = folder / name / f"{field}.npy"
+            if _sha256(path) != about["sha256"]:
+                raise DataError(f"{path}: is damaged; remove {folder / name} and run `august simulate` again")
+
+
+def _complete(shard: Path, span: tuple[int, int], digest: str) -> bool:
+    try:
+        meta = json.loads((shard / "meta.json").read_text())
+    except (OSError, json.JSONDecodeError):
+        return False
+    if meta["digest"] != digest or meta["rows"] != list(span):
+        return False
+    return all((shard / f"{field}.npy").exists() for field in meta["arrays"])
+
+
+def _write_shard(folder: Path, number: int, fields: Sample, span: tuple[int, int], digest: str) -> None:
+    final, aside = folder / shard_name(number), folder / f".{shard_name(number)}.part"
+    shutil.rmtree(aside, ignore_errors=True)
+    aside.mkdir()
+    arrays = {}
+    for name, value in fields.items():
+        path = aside / f"{name}.npy"
+        with path.open("wb") as file:
+            np.save(file, value)
+            file.flush()
+            os.fsync(file.fileno())
+        arrays[name] = {"shape": list(value.shape), "dtype": str(value.dtype), "sha256": _sha256(path)}
+    _write_text(aside / "meta.json", json.dumps({"rows": list(span), "digest": digest, "arrays": arrays}, indent=1))
+    shutil.rmtree(final, ignore_errors=True)
+    os.replace(aside, final)
+
+
+def _write_manifest(folder: Path, config: Config, digest: str) -> dict:
+    shards = {}
+    for shard in sorted(folder.glob("shard-*")):
+        meta = json.loads((shard / "meta.json").read_text())
+        if meta["digest"] == digest:
+            shards[shard.name] = meta["rows"]
+    manifest = {
+        "format": 1, "digest": digest, "preset": config.preset, "rows": sum(high - low for low, high in shards.values()),
+        "wanted": config.data.count, "airframes": list(config.target.airframes), "shards": shards,
+    }
+    _write_text(folder / "config.yaml", to_yaml(config))
+    _write_text(folder / "manifest.json", json.dumps(manifest, indent=1))
+    return manifest
+
+
+def _write_text(path: Path, text: str) -> None:
+    aside = path.with_name(f".{path.name}.{os.getpid()}.part")
+    with aside.open("w") as file:
+        file.write(text)
+        file.flush()
+        os.fsync(file.fileno())
+    os.replace(aside, path)
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -1,0 +1,238 @@
+"""How accurate networks are, beside answers that need none: rows of a scheme, an SNR and the paper's four metrics.
+
+Schemes:
+
+- ``august``: the networks (whatever their ``model.scheme``).
+- ``prior``: answers the predicted position q_pre; it defines MPE alone.
+- ``up``: answers a level craft; it defines MDE alone.
+- ``mean_shape``: answers :func:`mean_shape` at q_pre; it defines WD and MCD.
+- ``resampling``: the true surface, sampled anew: the floor that the clouds' finite number of points sets.
+
+The attitude of a cloud is the plane of its rotor points (:mod:`august_jax.tracking.attitude`); the metrics are those of
+:mod:`august_jax.metrics`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from august_jax import metrics
+from august_jax.config import Config
+from august_jax.data import Dataset, as_stored, generate, observed_anew, prepare_targets
+from august_jax.models import reconstruct
+from august_jax.pipeline import Networks, Track, rotor_plane_normal
+from august_jax.scene import Airframe, resolve_airframe, rotation_from_euler, transform
+
+ABOUT = {
+    "august": "the networks",
+    "prior": "answering the predicted position",
+    "up": "answering a level drone",
+    "mean_shape": "the average drone at the prediction",
+    "resampling": "the true surface sampled anew: the floor",
+}
+"""What each scheme is, in a few words."""
+
+NOTE = (
+    "MPE: mean distance between true and estimated position. MDE: mean of 1 - cos between true and estimated normal. "
+    "MCD: squared distance to the nearest neighbour, both ways, of clouds about their own means; WD adds the squared "
+    "position error; both in dB re 1 m^2."
+)
+
+_FRESH = 2**30
+"""Added to the seed of an evaluation, so that no seed of a training set gives the same samples."""
+_PIECE = 50
+"""Clouds reconstructed together."""
+
+
+def evaluate(networks: Networks, config: Config, *, seed: int,
+             progress: Callable[[str], None] = lambda line: None) -> list[dict[str, Any]]:
+    """Rows of accuracy on freshly simulated samples, ``config.evaluate.count`` of them, each from its own flight.
+
+    All SNRs share the samples, their predictions and the draws of the noise, so that only the SNR makes a difference.
+
+    Returns:
+        For each SNR and scheme a row ``scheme``, ``snr_db``, ``mpe_m`` [m], ``mde``, ``wd_db``, ``mcd_db`` [dB re
+        1 m^2], ``count`` and ``bound_m`` [m]; None where a scheme does not define a metric or the bound is not known.
+    """
+    count, slots = config.evaluate.count, config.flight.slots
+    fresh = replace(config, data=replace(config.data, seed=_FRESH + seed))
+    targets = prepare_targets(config, progress)
+    progress(f"simulating {count} samples")
+    numbers = np.arange(count)
+    samples = generate(fresh, numbers * slots + numbers % slots, targets)
+    airframes = [target.airframe for target in targets]
+    again_key, shape_key, seen_key, cloud_key, normal_key = jax.random.split(jax.random.key(_FRESH + seed), 5)
+    again = _resampled(again_key, samples, airframes, config.target.points)
+    mean = mean_shape(shape_key, airframes, config.target.points)
+    truth = {"position": samples["position"], "normal": samples["rotation"][:, :, 2],
+             "cloud": samples["points"] + samples["position"][:, None]}
+    rows, others = [], None
+    for snr_db in config.evaluate.snr_db:
+        batch = observed_anew(seen_key, samples, config, snr_db)
+        clouds, normals = [], []
+        for start in range(0, count, _PIECE):
+            piece = {name: batch[name][start:start + _PIECE] for name in ("channel", "predicted", "snr_db")}
+            cloud = reconstruct(networks.graphdef, networks.state, jax.random.fold_in(cloud_key, start), **piece,
+                                count=config.target.points, sampler=config.evaluate.sampler,
+                                steps=config.evaluate.sampler_steps)[..., :3]
+            clouds.append(config.region.scale_m * cloud + piece["predicted"][:, None])
+            normals.append(_normals(jax.random.fold_in(normal_key, start), clouds[-1]))
+        answer = {"cloud": jnp.concatenate(clouds), "normal": jnp.concatenate(normals)}
+        answer["position"] = jnp.mean(answer["cloud"], axis=1)
+        if others is None:
+            others = baselines(batch["predicted"], mean, again, normal_key)
+        scored = {"august": answer, **others}
+        rows += [{"scheme": scheme, "snr_db": snr_db, **score(each, truth), "count": count, "bound_m": None}
+                 for scheme, each in scored.items()]
+        progress(f"SNR {snr_db:g} dB: MPE {rows[-len(scored)]['mpe_m']:.3f} m")
+    return rows
+
+
+def score(answer: Mapping[str, Any], truth: Mapping[str, Any]) -> dict[str, float | None]:
+    """The metrics that ``answer`` defines by its ``position`` (B, 3), ``normal`` (B, 3) and ``cloud`` (B, M, 3) [m].
+
+    A cloud without a position of its own is one about q_pre, given as ``about``.
+    """
+    place = answer.get("position", answer.get("about"))
+    values = {
+        "mpe_m": metrics.mpe_m(answer["position"], truth["position"]) if "position" in answer else None,
+        "mde": metrics.mde(answer["normal"], truth["normal"]) if "normal" in answer else None,
+        "wd_db": metrics.wd_db(answer["cloud"], truth["cloud"], place, truth["position"]) if "cloud" in answer else None,
+        "mcd_db": metrics.mcd_db(answer["cloud"], truth["cloud"]) if "cloud" in answer else None,
+    }
+    return {name: None if value is None else float(value) for name, value in values.items()}
+
+
+def baselines(predicted, mean, again, key: jax.Array) -> dict[str, dict[str, Any]]:
+    """What the schemes without networks answer, as :func:`score` takes it.
+
+    Args:
+        predicted: q_pre (B, 3) [m].
+        mean: the mean shape (M, 3) [m], about q_pre.
+        again: the true clouds sampled anew, in the world (B, M, 3) [m].
+        key: of the attitude estimates.
+    """
+    predicted, again = jnp.asarray(predicted), jnp.asarray(again)
+    return {
+        "prior": {"position": predicted},
+        "up": {"normal": jnp.broadcast_to(jnp.array([0.0, 0.0, 1.0]), predicted.shape)},
+        "mean_shape": {"cloud": predicted[:, None] + mean, "about": predicted},
+        "resampling": {"position": jnp.mean(again, axis=1), "cloud": again, "normal": _normals(key, again)},
+    }
+
+
+def mean_shape(key: jax.Array, airframes: Sequence[Airframe], count: int) -> jax.Array:
+    """The average craft (count, 3) [m] about its centroid: surface points of all airframes in equal shares, level, each
+    point turned to a heading of its own, uniform over the circle."""
+    share = -(-count // len(airframes))
+    points = []
+    for index, airframe in enumerate(airframes):
+        surface_key, yaw_key = jax.random.split(jax.random.fold_in(key, index))
+        yaw = jax.random.uniform(yaw_key, (share,), maxval=2.0 * jnp.pi)
+        turn = rotation_from_euler(jnp.zeros(share), jnp.zeros(share), yaw)
+        points.append(jnp.einsum("nab,nb->na", turn, airframe.sample_surface(surface_key, share)))
+    # interleaved, so that what is cut off at the end is shared out too
+    return jnp.stack(points, axis=1).reshape(-1, 3)[:count]
+
+
+def score_track(track: Track, config: Config) -> dict[str, Any]:
+    """Errors of a track, slot by slot and on average, beside the baselines.
+
+    Returns:
+        ``slots``: one entry a slot, plain numbers and lists: ``slot``, ``time_s``, ``snr_db``; ``position``,
+        ``predicted``, ``estimate`` [m]; ``normal``, ``normal_estimate``; ``tilt_deg``, ``tilt_estimate_deg``;
+        ``permittivity``, ``conductivity`` [S/m] and their estimates, the clouds' means; ``position_error_m``,
+        ``predicted_error_m``, ``normal_error_deg``, and ``normal_error_up_deg``, that of answering a level craft.
+        ``schemes``: one row a scheme: ``scheme``, ``about`` and the metrics over all slots.
+    """
+    up = np.array([0.0, 0.0, 1.0])
+    estimate, normal = track.estimate, track.normal
+    slots = [
+        {
+            "slot": slot,
+            "time_s": float(track.time_s[slot]),
+            "snr_db": float(track.snr_db[slot]),
+            "position": track.position[slot].tolist(),
+            "predicted": track.predicted[slot].tolist(),
+            "estimate": estimate[slot].tolist(),
+            "position_error_m": float(np.linalg.norm(estimate[slot] - track.position[slot])),
+            "predicted_error_m": float(np.linalg.norm(track.predicted[slot] - track.position[slot])),
+            "normal": normal[slot].tolist(),
+            "normal_estimate": track.normal_estimate[slot].tolist(),
+            "normal_error_deg": _angle_deg(track.normal_estimate[slot], normal[slot]),
+            "normal_error_up_deg": _angle_deg(up, normal[slot]),
+            "tilt_deg": _angle_deg(up, normal[slot]),
+            "tilt_estimate_deg": _angle_deg(up, track.normal_estimate[slot]),
+            "permittivity": track.permittivity,
+            "permittivity_estimate": float(track.point_permittivity[slot].mean()),
+            "conductivity": track.conductivity,
+            "conductivity_estimate": float(track.point_conductivity[slot].mean()),
+        }
+        for slot in range(len(track.time_s))
+    ]
+    # about the true positions: single precision keeps the digits of a centimetre better there than in the world
+    about = track.position[:, None]
+    truth = {"position": np.zeros_like(track.position), "normal": normal, "cloud": track.truth - about}
+    answer = {"position": estimate - track.position, "normal": track.normal_estimate, "cloud": track.points - about}
+    shape_key, normal_key = jax.random.split(jax.random.key(_FRESH))
+    airframes = [resolve_airframe(name, config.target.half_wheelbase_m) for name in config.target.airframes]
+    mean = mean_shape(shape_key, airframes, config.target.points)
+    others = baselines(track.predicted - track.position, mean, track.again - about, normal_key)
+    schemes = [{"scheme": scheme, "about": ABOUT[scheme], **score(each, truth)}
+               for scheme, each in {"august": answer, **others}.items()]
+    return {"slots": slots, "schemes": schemes}
+
+
+def validator(dataset: Dataset, config: Config, count: int = 256) -> Callable[..., dict[str, float]] | None:
+    """A function (graphdef, state, step) -> position error on validation samples, beside that of q_pre; None without any.
+
+    Args:
+        dataset: where they come from; the first ``count`` of them are used, observed alike at every call.
+        config: of the training run.
+        count: how many at most.
+    """
+    places = dataset.rows("validation")
+    if not len(places):
+        return None
+    samples = dataset.read(places[np.linspace(0, len(places) - 1, min(count, len(places))).astype(int)])
+    key = jax.random.key(_FRESH)
+    if config.train.reobserve:
+        stored = {name: jnp.asarray(samples[name])
+                  for name in ("channel", "position", "permittivity", "conductivity", "points")}
+        batch = observed_anew(key, stored, config)
+    else:
+        batch = as_stored(samples, config)
+    position = jnp.asarray(samples["position"])
+
+    def validate(graphdef, state, step) -> dict[str, float]:
+        cloud = reconstruct(graphdef, state, key, batch["channel"], batch["predicted"], batch["snr_db"],
+                            count=min(128, config.target.points), sampler=config.evaluate.sampler,
+                            steps=config.evaluate.sampler_steps)
+        estimate = batch["predicted"] + config.region.scale_m * jnp.mean(cloud[..., :3], axis=1)
+        return {"validation_mpe_m": float(metrics.mpe_m(estimate, position)),
+                "validation_prior_m": float(metrics.mpe_m(batch["predicted"], position))}
+
+    return validate
+
+
+def _resampled(key: jax.Array, samples: Mapping[str, np.ndarray], airframes: Sequence[Airframe], count: int) -> jax.Array:
+    """The true clouds in the world (B, count, 3) [m], drawn a second time."""
+    bodies = jnp.stack([airframe.sample_surface(jax.random.fold_in(key, row), count)
+                        for row, airframe in enumerate(airframes[index] for index in samples["airframe"])])
+    return transform(bodies, samples["rotation"], samples["position"])
+
+
+@jax.jit
+def _normals(key: jax.Array, clouds: jax.Array) -> jax.Array:
+    centred = clouds - jnp.mean(clouds, axis=1, keepdims=True)
+    return jax.vmap(rotor_plane_normal)(jax.random.split(key, len(clouds)), centred)
+
+
+def _angle_deg(first: np.ndarray, second: np.ndarray) -> float:
+    return float(np.degrees(np.arctan2(np.linalg.norm(np.cross(first, second)), first @ second)))

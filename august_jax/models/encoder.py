@@ -1,0 +1,148 @@
+r"""The conditional channel encoder: from the estimated channel to a feature vector f (paper, Section IV-B).
+
+    h_vec = W_p v + b_p,   h_emb = [w1(xi(q_pre)) * h_vec ; w2(xi(P_snr))],   f = F_enc(h_emb),
+
+F_enc a residual MLP of Linear-LeakyReLU pairs, w1 and w2 MLPs of two layers. What enters as v is the choice
+``encoder``:
+
+- ``paper``: the real and imaginary parts of vec(H_est), divided by its Frobenius norm over all tones (the paper
+  does not scale; the entries are near 1e-6, of which a network initialised as usual sees nothing).
+- ``roi``: features of A = U^H H conj(U), the channel in the field subspace of the region (`signal.roi`): the spherical
+  phases of q_pre are taken out and Legendre polynomials over the aperture are left. The entries vary slowly with the
+  target's offset from q_pre, where those of H turn through hundreds of radians. See :func:`roi_features`.
+"""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import nnx
+
+from august_jax.config import ArrayConfig, Config
+from august_jax.constants import SPEED_OF_LIGHT
+from august_jax.models.embedding import position_features, snr_features
+from august_jax.models.layers import MLP, ResidualMLP, dense
+from august_jax.signal import roi
+
+_GAINS = (1.0, 10.0, 100.0)
+
+
+def paper_features(channel: jax.Array) -> jax.Array:
+    """Re and Im of vec(H)/||H||_F, (B, 2 F N^2), of channels (B, F, N, N)."""
+    flat = channel.reshape(channel.shape[0], -1)
+    flat = flat / jnp.maximum(jnp.linalg.norm(flat, axis=-1, keepdims=True), 1e-30)
+    return jnp.concatenate([flat.real, flat.imag], axis=-1)
+
+
+def roi_features(coefficients: jax.Array, predicted: jax.Array, wavenumbers: np.ndarray) -> jax.Array:
+    """Real features (B, D) of subspace coefficients A (B, F, K, K) under predictions (B, 3) [m].
+
+    Each tone's A is divided by its Frobenius norm and turned so that A_00, the response to the mean field over the
+    aperture, is real: its absolute phase repeats every half wavelength of range. The upper triangle's entries x then
+    fall from 1 to 1e-4, the noise at 30 dB, with the order of their polynomials, so each enters three times, as
+    asinh(g x) for the gains g = 1, 10, 100: large ones keep their detail in the first, small ones count in the last.
+    Beside them, for each tone of wavenumber k (F,) [rad/m]: the cosine and sine of the phase of A_00 e^{-2jk|q_pre|}
+    (the first tone) or of its difference from the first tone's, which tells by how much the range exceeds |q_pre|;
+    and log10(||A|| |q_pre|^2 / [m^2]), centred and scaled by rough constants: two-way spreading taken out, what is
+    left tells the target's size and material.
+    """
+    size = coefficients.shape[-1]
+    rows, columns = np.triu_indices(size)
+    norm = jnp.maximum(jnp.linalg.norm(coefficients, axis=(-2, -1)), 1e-30)
+    lead = coefficients[..., 0, 0]
+    lead = lead / jnp.maximum(jnp.abs(lead), 1e-30)
+    entries = coefficients[..., rows, columns] * (lead.conj() / norm)[..., None]
+    entries = jnp.stack([entries.real, entries.imag], axis=-1)
+    scaled = jnp.arcsinh(entries[..., None] * jnp.asarray(_GAINS, entries.dtype))
+    distance = jnp.linalg.norm(predicted, axis=-1, keepdims=True)
+    phase = lead * jnp.exp(-2j * jnp.asarray(wavenumbers, distance.dtype) * distance)
+    phase = jnp.concatenate([phase[:, :1], phase[:, 1:] * phase[:, :1].conj()], axis=-1)
+    level = 4.0 * (jnp.log10(norm * distance**2) + 1.7)
+    batch = coefficients.shape[0]
+    return jnp.concatenate([scaled.reshape(batch, -1), phase.real, phase.imag, level], axis=-1)
+
+
+class ChannelInput(nnx.Module):
+    """What the networks see of the channel: v of the module's top, from the antennas or from the subspace.
+
+    Attributes:
+        size: length of v.
+    """
+
+    def __init__(self, config: Config):
+        self.config = config
+        tones = len(config.array.frequencies_hz)
+        self.antennas = config.array.count
+        self.orders = roi.legendre_basis(config.array.nx, config.array.nz).shape[1]
+        if config.model.encoder == "paper":
+            self.size = 2 * tones * self.antennas**2
+        else:
+            self.size = tones * (len(_GAINS) * self.orders * (self.orders + 1) + 3)
+
+    def __call__(self, channel: jax.Array, predicted: jax.Array) -> jax.Array:
+        """v (B, size) of channels (B, F, N_b, N_b) or, for ``roi``, also of coefficients (B, F, K, K)."""
+        if self.config.model.encoder == "paper":
+            self._check(channel, (self.antennas,))
+            return paper_features(channel)
+        return roi_features(self.coefficients(channel, predicted), predicted, self._wavenumbers())
+
+    def coefficients(self, channel: jax.Array, predicted: jax.Array) -> jax.Array:
+        """A (B, F, K, K): projected about ``predicted`` (B, 3) [m], unless ``channel`` holds it already."""
+        self._check(channel, (self.antennas, self.orders))
+        if channel.shape[-1] == self.orders:
+            return channel
+        array = self.config.array
+        basis = jnp.asarray(roi.legendre_basis(array.nx, array.nz))
+        tones = jax.vmap(roi.project, in_axes=(0, None, None, 0, None))
+        samples = jax.vmap(tones, in_axes=(0, 0, None, None, None))
+        return samples(channel, predicted, jnp.asarray(_positions(array)), self._wavenumbers(), basis)
+
+    def _wavenumbers(self) -> np.ndarray:
+        return np.asarray(self.config.array.frequencies_hz, np.float32) * np.float32(2.0 * np.pi / SPEED_OF_LIGHT)
+
+    def _check(self, channel: jax.Array, sizes: tuple[int, ...]) -> None:
+        wanted = [(len(self.config.array.frequencies_hz), size, size) for size in sizes]
+        if channel.ndim != 4 or channel.shape[1:] not in wanted:
+            raise ValueError(
+                f"channel: got shape {channel.shape}; encoder {self.config.model.encoder!r} of this array wants "
+                f"(batch, tones, n, n) = {' or '.join(f'(batch, {f}, {n}, {n})' for f, n, _ in wanted)}"
+            )
+
+
+def _positions(array: ArrayConfig) -> np.ndarray:
+    """Elements (N_b, 3) [m] of the half-wavelength array in the x-O-z plane, n = b + a nz, centred."""
+    places = np.stack(np.meshgrid(np.arange(array.nx), 0.0, np.arange(array.nz), indexing="ij"), axis=-1)
+    centred = places - np.array([(array.nx - 1) / 2, 0.0, (array.nz - 1) / 2])
+    return (centred * (SPEED_OF_LIGHT / array.frequency_hz / 2)).reshape(-1, 3).astype(np.float32)
+
+
+class Encoder(nnx.Module):
+    """(H_est, q_pre, SNR) -> f (B, d_f). ``embedding`` False drops w1 and w2: f = F_enc(h_vec)."""
+
+    def __init__(self, config: Config, *, embedding: bool, rngs: nnx.Rngs):
+        model = config.model
+        self.config = config
+        self.channel_input = ChannelInput(config)
+        self.channel_map = dense(self.channel_input.size, model.channel_features, rngs=rngs)
+        self.embedding = embedding
+        width = model.channel_features
+        if embedding:
+            waves = 2 * model.fourier + 1
+            self.position_head = MLP(3 * waves, width, width, rngs=rngs)
+            self.snr_head = MLP(waves, width, width, rngs=rngs)
+        self.trunk = ResidualMLP(2 * width if embedding else width, model.encoder_features, model.encoder_layers,
+                                 rngs=rngs)
+
+    def __call__(self, channel: jax.Array, predicted: jax.Array, snr_db: jax.Array) -> jax.Array:
+        """Features f (B, d_f) of channels (B, F, N, N), predictions (B, 3) [m] and SNRs (B,) [dB]."""
+        hidden = self.channel_map(self.channel_input(channel, predicted))
+        if self.embedding:
+            model = self.config.model
+            place = position_features(predicted, model.fourier, self.config.flight, raw_metres=model.raw_metres)
+            # 1 + : the product starts near h_vec itself.
+            hidden = jnp.concatenate(
+                [(1.0 + self.position_head(place)) * hidden, self.snr_head(snr_features(snr_db, model.fourier))],
+                axis=-1,
+            )
+        return self.trunk(hidden)

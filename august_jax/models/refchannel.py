@@ -1,0 +1,59 @@
+r"""RefChannel-Diff: the channel carried to a reference place conditions the diffusion (paper, Section VI-A).
+
+An MLP maps [Re and Im of the channel; xi(q_pre)] to the channel that the same target would have, at the same offset
+from its prediction, if the prediction were the centre of the flight box: q_ref + (q - q_pre). A linear map of the
+result is the condition. Channels enter and leave divided by their Frobenius norms, as the upper triangle of H
+(encoder ``paper``) or of its subspace coefficients (encoder ``roi``); their symmetry makes the rest redundant.
+"""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import nnx
+
+from august_jax.config import Config
+from august_jax.models.embedding import position_features
+from august_jax.models.encoder import ChannelInput
+from august_jax.models.layers import ResidualMLP, dense
+
+
+def reference_centre(config: Config) -> np.ndarray:
+    """q_ref (3,) [m]: the centre of the flight box."""
+    return np.mean(np.asarray(config.flight.box_m), axis=1)
+
+
+class RefChannel(nnx.Module):
+    """(H_est, q_pre) -> the estimated reference channel, and its linear map to the condition."""
+
+    def __init__(self, config: Config, *, rngs: nnx.Rngs):
+        model = config.model
+        self.config = config
+        self.channel_input = ChannelInput(config)
+        size = self.channel_input.antennas if model.encoder == "paper" else self.channel_input.orders
+        self.size = len(config.array.frequencies_hz) * size * (size + 1)
+        self.trunk = ResidualMLP(self.size + 3 * (2 * model.fourier + 1), model.encoder_features,
+                                 model.encoder_layers, rngs=rngs)
+        self.head = dense(model.encoder_features, self.size, rngs=rngs)
+        self.channel_map = dense(self.size, model.channel_features, rngs=rngs)
+
+    def vector(self, channel: jax.Array, centre: jax.Array) -> jax.Array:
+        """Re and Im of the triangles (B, size) of channels (B, F, N, N), of norm one, about ``centre`` (B, 3) [m]."""
+        if self.config.model.encoder == "roi":
+            channel = self.channel_input.coefficients(channel, centre)
+        rows, columns = np.triu_indices(channel.shape[-1])
+        flat = channel[..., rows, columns].reshape(channel.shape[0], -1)
+        flat = flat / jnp.maximum(jnp.linalg.norm(flat, axis=-1, keepdims=True), 1e-30)
+        return jnp.concatenate([flat.real, flat.imag], axis=-1)
+
+    def __call__(self, channel: jax.Array, predicted: jax.Array) -> jax.Array:
+        """The estimated reference channel (B, size), as :meth:`vector` writes it, from (B, F, N, N) and (B, 3) [m]."""
+        model = self.config.model
+        place = position_features(predicted, model.fourier, self.config.flight, raw_metres=model.raw_metres)
+        return self.head(self.trunk(jnp.concatenate([self.vector(channel, predicted), place], axis=-1)))
+
+    def loss(self, estimate: jax.Array, reference: jax.Array) -> jax.Array:
+        """Mean squared error () of ``estimate`` (B, size) against reference channels (B, F, N, N), relative to them."""
+        centre = jnp.broadcast_to(jnp.asarray(reference_centre(self.config), jnp.float32), (reference.shape[0], 3))
+        return jnp.mean(jnp.sum((estimate - self.vector(reference, centre)) ** 2, axis=-1))

@@ -1,0 +1,51 @@
+"""What is refused before any tracing: each message names the argument, the value and the way out."""
+
+from __future__ import annotations
+
+import jax
+import numpy as np
+
+from august_jax.physics.cells import Cells
+
+
+def is_concrete(value) -> bool:
+    """False for the abstract values inside jit, grad and vmap, whose numbers cannot be looked at."""
+    return not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(value))
+
+
+def check_cells(cells: Cells) -> None:
+    """Raise ValueError for cells whose shapes disagree or whose numbers make no body."""
+    shape = np.shape(cells.positions)
+    if len(shape) != 2 or shape[1] != 3 or shape[0] == 0:
+        raise ValueError(f"cells.positions: got shape {shape}; give (N, 3) with N at least 1, and vmap for batches")
+    count = shape[0]
+    if np.shape(cells.volumes) != (count,):
+        raise ValueError(f"cells.volumes: got shape {np.shape(cells.volumes)}; give ({count},), one volume a cell")
+    if np.shape(cells.fill) not in ((), (count,)):
+        raise ValueError(f"cells.fill: got shape {np.shape(cells.fill)}; give one number or ({count},)")
+    if cells.normals is not None and np.shape(cells.normals) not in ((count, 3), (count, 3, 3)):
+        raise ValueError(f"cells.normals: got shape {np.shape(cells.normals)}; give ({count}, 3) or ({count}, 3, 3)")
+    if not is_concrete(cells):
+        return
+    for name in ("positions", "volumes", "fill", "normals"):
+        value = getattr(cells, name)
+        if value is not None and not np.all(np.isfinite(value)):
+            raise ValueError(f"cells.{name}: holds NaN or infinity; remove those cells")
+    if np.min(cells.volumes) <= 0.0:
+        raise ValueError(f"cells.volumes: smallest is {np.min(cells.volumes):g} m^3; every volume must be positive")
+    if np.min(cells.fill) <= 0.0 or np.max(cells.fill) > 1.0 + 1e-6:
+        raise ValueError(
+            f"cells.fill: ranges over [{np.min(cells.fill):g}, {np.max(cells.fill):g}]; fractions lie in (0, 1]: "
+            "drop empty cells"
+        )
+    unique = np.unique(np.asarray(cells.positions), axis=0)
+    if len(unique) < count:
+        raise ValueError(f"cells.positions: {count - len(unique)} of {count} cells coincide with others; merge them")
+
+
+def check_contrast(contrast, count: int) -> None:
+    """Raise ValueError for a contrast that is neither a scalar nor (N,), or not finite."""
+    if np.shape(contrast) not in ((), (count,)):
+        raise ValueError(f"contrast: got shape {np.shape(contrast)}; give a scalar or ({count},), one value a cell")
+    if is_concrete(contrast) and not np.all(np.isfinite(contrast)):
+        raise ValueError("contrast: holds NaN or infinity; see august_jax.physics.contrast for the material's value")

@@ -1,0 +1,382 @@
+"""A rigid body's response: its coupled system is reduced once, then serves every pose and every scalar contrast.
+
+A rotation turns G into R G R^T, so that K' of :mod:`august_jax.physics.mom` is fixed in the body frame, and a
+material enters only through chi in (I/chi - K') P = E', H = k^2 E'^T P. Three facts make a channel cheap:
+
+1. The fields of dipoles beyond a few metres span far fewer than 3N dimensions on the body. Their span U is found
+   from random sources, and m rows of it (pivoted QR, as in the discrete empirical interpolation method) determine
+   all others: E' = U U_S^{-1} E'_S.
+2. The polarisations that such fields excite span a space Q little larger than U. Galerkin projection with the
+   symmetric form keeps H = H^T and makes its error second order in what Q misses. Q is built from solutions at
+   the contrasts ``NODES``; :attr:`Body.error` is the error measured at others.
+3. The projected pencil is diagonalised by complex-symmetric eigenvectors, Y^T Q^T Q Y = I, so that
+
+       H = k^2 F^T diag(chi / (1 - chi lambda)) F,    F = W E'_S,    W = Y^T Q^T U U_S^{-1}.
+
+The antennas are thinned likewise: once the spherical-wave phases of the body's centre are removed, the field
+varies so slowly over the aperture that a few elements determine the others.
+
+The offline part runs in complex128 on the CPU with NumPy and SciPy and is cached on disk by content; W is
+applied in single precision as real matrix products, which XLA multiplies three times faster than complex ones.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import tempfile
+import zipfile
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache, partial
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from august_jax.physics.array import PlanarArray, wavenumber
+from august_jax.physics.cells import Cells
+from august_jax.physics.checks import check_cells, is_concrete
+from august_jax.physics.green import dipole_fields_about
+from august_jax.physics.mom import interaction_matrix
+
+NODES = (0.5, 2.0, 5.0)
+"""Contrasts whose solutions span Q: permittivities from 1 to 7; farther out the error grows to 1e-3."""
+
+_CHECKS = (3.5 + 0.05j,)
+_SPAN_TOLERANCE = 1.5e-6  # smallest singular value kept of the incident fields, relative to the largest
+_BASIS_TOLERANCE = 1e-3  # the same of the polarisations; the error of H is of second order in it
+_APERTURE_TOLERANCE = 3e-6  # the same of the fields over the aperture
+_FORMAT = "body-1"
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Body:
+    """A factored body; a pytree, with F tones padded to a common size.
+
+    Attributes:
+        weights: Re W and Im W with the square roots of the cells' material volumes in them (F, 2, n, m), float32.
+        eigenvalues: lambda (F, n), complex64.
+        points: where the incident field is needed, in the body frame (F, p, 3) [m].
+        rows: which (point, component) of the field each column of W takes, 3 point + component (F, m), int32.
+        frequencies_hz: the tones [Hz].
+        single: True where the body was made for one plain frequency, so that channels carry no tone axis.
+        radius_m: largest distance of a cell from the body's origin [m].
+        nearest_m: sources must be at least this far from the body's origin [m].
+        error: relative error of the reduced response at contrasts between the nodes, as measured when it was made.
+        cells: number of cells N.
+    """
+
+    weights: jax.Array
+    eigenvalues: jax.Array
+    points: jax.Array
+    rows: jax.Array
+    frequencies_hz: tuple[float, ...] = field(metadata={"static": True})
+    single: bool = field(metadata={"static": True})
+    radius_m: float = field(metadata={"static": True})
+    nearest_m: float = field(metadata={"static": True})
+    error: float = field(metadata={"static": True})
+    cells: int = field(metadata={"static": True})
+
+
+def cache_folder() -> Path:
+    """Where factored bodies are kept: ``$AUGUST_CACHE``, else ``august_jax`` in the user's cache folder."""
+    named = os.environ.get("AUGUST_CACHE")
+    if named:
+        return Path(named)
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "august_jax"
+
+
+def factor_body(
+    cells: Cells, frequency_hz: float | Sequence[float], *, nearest_m: float = 2.0, cache: bool = True
+) -> Body:
+    """Reduce and diagonalise a body's coupled system, or read it from the cache.
+
+    Args:
+        cells: the body's cells in its own frame; poses rotate about that frame's origin.
+        frequency_hz: one frequency, or several tones [Hz].
+        nearest_m: every antenna will be at least this far from the origin of the body's frame [m]; a larger
+            distance needs fewer functions.
+        cache: keep the result in :func:`cache_folder` under a hash of all that it depends on.
+
+    Returns:
+        A :class:`Body`. About 20 s for 1000 cells on two cores; the time grows with the cube of the cells.
+
+    Raises:
+        ValueError: malformed cells, a frequency that is not positive, or ``nearest_m`` inside the body.
+    """
+    check_cells(cells)
+    single = np.ndim(frequency_hz) == 0
+    tones = tuple(float(tone) for tone in np.atleast_1d(frequency_hz))
+    if not all(0.0 < tone < np.inf for tone in tones):
+        raise ValueError(f"frequency_hz: got {frequency_hz!r}; give positive frequencies in Hz, e.g. 3e9")
+    plain = Cells(*(None if part is None else np.asarray(part, np.float64) for part in cells))
+    radius = float(np.linalg.norm(plain.positions, axis=1).max())
+    if nearest_m <= 1.2 * radius:
+        raise ValueError(
+            f"nearest_m: {nearest_m:g} m is no farther than the body's own radius, {radius:.3g} m, and a margin of 20 %"
+        )
+    factors = [_cached(plain, tone, float(nearest_m), cache) for tone in tones]
+    modes, columns, points = (
+        max(factor[name].shape[axis] for factor in factors) for name, axis in (("weights", 1), ("rows", 0), ("points", 0))
+    )
+
+    def padded(name, *shape):
+        return np.stack([
+            np.pad(f[name], [(0, n - s) for s, n in zip(f[name].shape, shape, strict=True)]) for f in factors
+        ])
+
+    return Body(
+        weights=jnp.asarray(padded("weights", 2, modes, columns)),
+        eigenvalues=jnp.asarray(padded("eigenvalues", modes)),
+        points=jnp.asarray(padded("points", points, 3)),
+        rows=jnp.asarray(padded("rows", columns)),
+        frequencies_hz=tones,
+        single=single,
+        radius_m=radius,
+        nearest_m=float(nearest_m),
+        error=max(float(factor["error"]) for factor in factors),
+        cells=plain.count,
+    )
+
+
+def body_channel(
+    body: Body, array: PlanarArray, rotation: jax.Array, translation: jax.Array, contrast: jax.Array
+) -> jax.Array:
+    """Sensing channel of a factored body in a pose: equal to the coupled solve of the moved cells.
+
+    Args:
+        body: from :func:`factor_body`.
+        array: the antennas.
+        rotation: body axes to world axes (3, 3).
+        translation: origin of the body's frame in the world (3,) [m].
+        contrast: chi, scalar; with several tones also (F,).
+
+    Returns:
+        H (N_b, N_b), or (F, N_b, N_b) for a body of several tones; complex64 [1/m^2 times m], symmetric. Differentiable
+        in rotation, translation and contrast; ``jax.vmap`` over them makes batches.
+
+    Raises:
+        ValueError: mismatched shapes, or a body nearer than ``body.nearest_m`` to an antenna.
+    """
+    for name, value, shape in (("rotation", rotation, (3, 3)), ("translation", translation, (3,))):
+        if np.shape(value) != shape:
+            raise ValueError(f"{name}: got shape {np.shape(value)}; give {shape}, and vmap for batches")
+    tones = len(body.frequencies_hz)
+    if np.shape(contrast) not in ((), (tones,)):
+        raise ValueError(f"contrast: got shape {np.shape(contrast)}; give a scalar or ({tones},), one value a tone")
+    if is_concrete(translation):
+        gap = float(np.linalg.norm(np.asarray(translation) - array.positions, axis=1).min())
+        if not gap >= body.nearest_m * (1.0 - 1e-6):
+            raise ValueError(
+                f"translation: the body is {gap:.3g} m from an antenna, but was factored for {body.nearest_m:g} m and "
+                "beyond; pass a smaller nearest_m to factor_body"
+            )
+    return _body_channel(body, array, jnp.asarray(rotation), jnp.asarray(translation), jnp.asarray(contrast))
+
+
+@partial(jax.jit, static_argnames="array")
+def _body_channel(body, array, rotation, translation, contrast):
+    positions = array.positions
+    centre = positions.mean(axis=0)
+    base = (translation - jnp.asarray(centre, jnp.float32)).astype(jnp.float32)
+    rotation = rotation.astype(jnp.float32)
+    contrasts = jnp.broadcast_to(contrast, (len(body.frequencies_hz),)).astype(jnp.complex64)
+    moment = jnp.asarray(array.polarization, jnp.float32)
+    channels = []
+    for tone, frequency in enumerate(body.frequencies_hz):
+        k = wavenumber(frequency)
+        chosen, spread = aperture_skeleton(array, frequency, body.radius_m, body.nearest_m)
+        elements = jnp.asarray(positions - centre, jnp.float32)
+        local = body.points[tone] @ rotation.T
+        world = dipole_fields_about(local, base, elements[chosen], moment, k)
+        fields = jnp.einsum("pna,ab->pbn", world, rotation).reshape(-1, len(chosen))[body.rows[tone]]
+        real, imaginary = body.weights[tone]
+        stacked = jnp.concatenate([fields.real, fields.imag], axis=-1)
+        from_real, from_imaginary = real @ stacked, imaginary @ stacked
+        half = len(chosen)
+        modal = jax.lax.complex(
+            from_real[:, :half] - from_imaginary[:, half:], from_real[:, half:] + from_imaginary[:, :half]
+        )
+        chi = contrasts[tone]
+        gain = (k**2) * chi / (1.0 - chi * body.eigenvalues[tone])
+        # Fields are O(0.1/r) and the cells' volumes O(1e-6): the product stays far above the smallest float32.
+        small = modal.T @ (gain[:, None] * modal)
+        # Interpolation over the aperture, on fields whose phases to the body's centre are removed.
+        to_centre = base - elements
+        r = jnp.sqrt(jnp.sum(to_centre**2, axis=-1))
+        far = jnp.sqrt(jnp.sum(base**2))
+        path = jnp.sum(elements * (elements - 2.0 * base), axis=-1) / (r + far)
+        phase = jnp.exp(1j * k * path)
+        expand = phase[:, None] * jnp.asarray(spread, jnp.complex64) * phase[chosen].conj()
+        channel = expand @ small @ expand.T
+        channels.append(0.5 * (channel + channel.T))
+    return channels[0] if body.single else jnp.stack(channels)
+
+
+@lru_cache(maxsize=64)
+def aperture_skeleton(
+    array: PlanarArray, frequency_hz: float, radius_m: float, nearest_m: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """The few antennas that determine the fields of all on a body, and how.
+
+    With phases e^{-jk(|t - p_n| - |t|)} to the body's centre t removed, the field of antenna n at any point within
+    ``radius_m`` of t, for any t beyond ``nearest_m``, is the sum over the chosen antennas j of spread[n, j] times
+    theirs.
+
+    Returns:
+        Indices (K,) and the interpolation matrix (N_b, K), float64.
+    """
+    k = wavenumber(frequency_hz)
+    elements = array.positions - array.positions.mean(axis=0)
+    random = np.random.default_rng(0)
+    count = 60 * len(elements)
+
+    def on_sphere(radius):
+        vectors = random.normal(size=(count, 3))
+        return radius * vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+
+    # The nearest distance and the surface of the ball are the worst case; nothing beyond varies faster.
+    centre, inside = on_sphere(nearest_m), on_sphere(radius_m)
+    offset = (centre + inside)[:, None] - elements
+    r, to_centre = np.linalg.norm(offset, axis=-1), np.linalg.norm(centre[:, None] - elements, axis=-1)
+    samples = np.exp(1j * k * (r - to_centre)) * nearest_m / r
+    vectors, values = _span(samples.T, _APERTURE_TOLERANCE)
+    # The problem is symmetric under complex conjugation (a mirrored body), hence a real basis exists.
+    both = np.concatenate([(vectors * values).real, (vectors * values).imag], axis=1)
+    basis, _ = _span(both, _APERTURE_TOLERANCE)
+    chosen = _pivots(basis.real)
+    return chosen, basis.real @ np.linalg.inv(basis.real[chosen])
+
+
+def _cached(cells: Cells, frequency_hz: float, nearest_m: float, cache: bool) -> dict[str, np.ndarray]:
+    """One tone's factors, from the disk where they are there and whole."""
+    digest = hashlib.sha256(_FORMAT.encode())
+    settings = (frequency_hz, nearest_m, _SPAN_TOLERANCE, _BASIS_TOLERANCE, *NODES)
+    for part in (*cells, np.asarray(settings)):
+        digest.update(b"none" if part is None else np.ascontiguousarray(part).tobytes())
+    path = cache_folder() / f"{_FORMAT}-{digest.hexdigest()[:24]}.npz"
+    if cache and path.exists():
+        try:
+            with np.load(path) as stored:
+                return dict(stored)
+        except (OSError, ValueError, EOFError, zipfile.BadZipFile):
+            pass  # a damaged file is made again below
+    factors = _factor(cells, frequency_hz, nearest_m)
+    if cache:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as part:
+            np.savez(part, **factors)
+        os.replace(part.name, path)
+    return factors
+
+
+def _factor(cells: Cells, frequency_hz: float, nearest_m: float) -> dict[str, np.ndarray]:
+    """The offline computation at one tone, in complex128."""
+    import scipy.linalg
+
+    k = wavenumber(frequency_hz)
+    with jax.enable_x64(True):
+        matrix = np.asarray(jax.jit(interaction_matrix)(jax.tree.map(jnp.asarray, cells), k))
+    weight = np.repeat(np.sqrt(np.broadcast_to(cells.fill, cells.volumes.shape) * cells.volumes), 3)
+    random = np.random.default_rng(0)
+    samples, span, values = 512, None, None
+    while span is None or (span.shape[1] > 0.7 * samples and samples < 3 * len(weight)):
+        samples *= 2
+        span, values = _span(weight[:, None] * _random_fields(cells.positions, k, nearest_m, samples, random),
+                             _SPAN_TOLERANCE)
+    basis = _polarization_basis(matrix, span * (values / values[0]))
+    gram, reduced = basis.T @ basis, basis.T @ (matrix @ basis)
+    eigenvalues, vectors = scipy.linalg.eig(np.linalg.solve(gram, reduced), overwrite_a=True, check_finite=False)
+    vectors = _symmetric_orthonormal(vectors, eigenvalues, gram)
+    rows = _pivots(span)
+    weights = (vectors.T @ (basis.T @ span)) @ np.linalg.inv(span[rows]) * weight[rows]
+    points, place = np.unique(rows // 3, return_inverse=True)
+    # Error of the response to random far sources, against the unreduced system.
+    probe = weight[:, None] * _random_fields(cells.positions, k, nearest_m, 24, random)
+    modal = weights @ (probe / weight[:, None])[rows]
+    errors = []
+    for chi in _CHECKS:
+        exact = probe.T @ np.linalg.solve(
+            (np.eye(len(matrix)) / chi - matrix).astype(np.complex64), probe.astype(np.complex64)
+        )
+        fast = modal.T @ ((chi / (1.0 - chi * eigenvalues))[:, None] * modal)
+        errors.append(np.linalg.norm(fast - exact) / np.linalg.norm(exact))
+    return {
+        "weights": np.stack([weights.real, weights.imag]).astype(np.float32),
+        "eigenvalues": eigenvalues.astype(np.complex64),
+        "points": cells.positions[points].astype(np.float32),
+        "rows": (3 * place + rows % 3).astype(np.int32),
+        "error": np.asarray(max(errors)),
+    }
+
+
+def _random_fields(points, k, nearest_m, count, random):
+    """Fields at the points of randomly turned dipoles, each times its distance, beyond ``nearest_m`` (3N, count)."""
+    direction, moment = random.normal(size=(2, count, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    moment /= np.linalg.norm(moment, axis=1, keepdims=True)
+    # Uniform in 1/r, from the nearest place to infinity (here: a hundred times as far).
+    distance = nearest_m / random.uniform(0.01, 1.0, size=(count, 1))
+    distance[: count // 2] = nearest_m
+    offset = points[:, None] - distance * direction
+    r = np.linalg.norm(offset, axis=-1)
+    kr = k * r
+    g, h = 3.0 / kr**2 - 3j / kr - 1.0, 1.0 / kr**2 - 1j / kr - 1.0
+    wave = np.exp(1j * (kr - k * distance[:, 0])) * distance[:, 0] / (4.0 * np.pi * r)
+    along = np.einsum("nsa,sa->ns", offset, moment) / r**2
+    field_ = (wave * g * along)[..., None] * offset - (wave * h)[..., None] * moment
+    return field_.transpose(0, 2, 1).reshape(-1, count)
+
+
+def _span(matrix, tolerance):
+    """Orthonormal basis of the columns and its singular values, down to ``tolerance`` of the largest."""
+    tall = matrix.shape[0] >= matrix.shape[1]
+    values, vectors = np.linalg.eigh(matrix.conj().T @ matrix if tall else matrix @ matrix.conj().T)
+    keep = values > max(tolerance**2, 1e-15) * values[-1]
+    values, vectors = np.sqrt(values[keep][::-1]), vectors[:, keep][:, ::-1]
+    return (matrix @ vectors / values if tall else vectors), values
+
+
+def _pivots(basis):
+    """As many rows of an orthonormal basis as it has columns, chosen to be well conditioned; sorted."""
+    import scipy.linalg
+
+    _, pivots = scipy.linalg.qr(basis.T, mode="r", pivoting=True)
+    return np.sort(pivots[: basis.shape[1]])
+
+
+def _polarization_basis(matrix, fields):
+    """Q (3N, n): orthonormal basis of the solutions at the contrasts NODES, weighted as the fields are."""
+    basis = np.zeros((len(matrix), 0), np.complex64)
+    identity = np.eye(len(matrix))
+    largest = None
+    for chi in NODES:
+        # Single precision suffices: a perturbed basis vector changes H by its square.
+        solution = np.linalg.solve((identity / chi - matrix).astype(np.complex64), fields.astype(np.complex64))
+        largest = largest or np.linalg.norm(solution[:, 0])  # the strongest incident field comes first
+        for _ in range(2):
+            solution = solution - basis @ (basis.conj().T @ solution)
+        values, vectors = np.linalg.eigh((solution.conj().T @ solution).astype(np.complex128))
+        keep = values > (_BASIS_TOLERANCE * largest) ** 2
+        basis = np.concatenate([basis, solution @ (vectors[:, keep] / np.sqrt(values[keep])).astype(np.complex64)], 1)
+    return basis.astype(np.complex128)
+
+
+def _symmetric_orthonormal(vectors, eigenvalues, gram):
+    """Scale eigenvectors to Y^T G Y = I; equal eigenvalues (symmetric bodies) are orthogonalised as a group."""
+    import scipy.linalg
+    from scipy.sparse.csgraph import connected_components
+
+    vectors = vectors / np.sqrt(np.einsum("ia,ij,ja->a", vectors, gram, vectors, optimize=True) + 0j)
+    product = vectors.T @ gram @ vectors
+    mixed = np.abs(product) > 1e-7
+    close = np.abs(eigenvalues[:, None] - eigenvalues) < 1e-6 * np.abs(eigenvalues).max()
+    groups, label = connected_components(mixed & close, directed=False)
+    for group in np.flatnonzero(np.bincount(label, minlength=groups) > 1):
+        place = np.flatnonzero(label == group)
+        block = vectors[:, place]
+        vectors[:, place] = block @ scipy.linalg.inv(scipy.linalg.sqrtm(block.T @ gram @ block))
+    return vectors

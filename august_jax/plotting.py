@@ -1,0 +1,180 @@
+"""Pictures: training curves, clouds, accuracy over SNR with its baselines and bound. All go to files, none to a screen.
+
+Figures are made without pyplot, so that no global state of matplotlib changes.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from august_jax.export import replacing
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from august_jax.pipeline import Track
+
+INK, SOFT, LINE = "#17212b", "#5c6b78", "#dfe5ea"
+MODEL, TRUTH, BASE = "#0a6ebd", "#3a4652", "#c8641b"
+STYLES = {
+    "august": {"color": MODEL, "marker": "o", "lw": 2.0, "ms": 5},
+    "prior": {"color": BASE, "ls": "--"},
+    "up": {"color": "#a63d7b", "ls": "--"},
+    "mean_shape": {"color": "#8a6d1d", "ls": "--"},
+    "resampling": {"color": "#7a8894", "ls": ":"},
+}
+"""Line styles of the schemes of :mod:`august_jax.evaluation`; others get the next colour of the cycle."""
+
+LABELS = {
+    "august": "AUGUST",
+    "prior": "answering the prediction",
+    "up": "always up",
+    "mean_shape": "mean shape at the prediction",
+    "resampling": "true cloud sampled anew (floor)",
+}
+
+
+def training_curves(metrics_jsonl: str | Path, png: str | Path) -> None:
+    """Draw every loss term of a run over its steps.
+
+    Args:
+        metrics_jsonl: one JSON object a line, with ``step`` and any number of scalar terms.
+        png: the picture.
+    """
+    lines = [json.loads(line) for line in Path(metrics_jsonl).read_text().splitlines() if line.strip()]
+    skipped = {"step", "samples_per_s", "seconds", "seconds_left", "learning_rate"}
+    names = [name for name, value in (lines[-1] if lines else {}).items()
+             if name not in skipped and isinstance(value, (int, float))]
+    if not names:
+        raise ValueError(f"metrics_jsonl: {metrics_jsonl} holds no loss terms; train for at least one logged step")
+    columns = min(3, len(names))
+    figure = _figure(4.2 * columns, 2.9 * -(-len(names) // columns))
+    for index, name in enumerate(names):
+        axes = figure.add_subplot(-(-len(names) // columns), columns, index + 1)
+        pairs = [(line["step"], line[name]) for line in lines if line.get(name) is not None]
+        steps, values = np.array(pairs).T
+        axes.plot(steps, values, color=MODEL, lw=0.8, alpha=0.35 if len(values) > 20 else 1.0)
+        if len(values) > 20:
+            width = max(len(values) // 40, 3)
+            smooth = np.convolve(values, np.ones(width) / width, mode="valid")
+            axes.plot(steps[width - 1:], smooth, color=MODEL, lw=1.8)
+        if (values > 0).all() and values.max() > 20 * values.min():
+            axes.set_yscale("log")
+        axes.set_title(name, loc="left")
+        axes.set_xlabel("step")
+        _tidy(axes)
+    _save(figure, png)
+
+
+def clouds(track: Track, png: str | Path, *, permittivity: tuple[float, float], title: str, slots: int = 4) -> None:
+    """True clouds above, reconstructed ones below (beside, for a single slot), coloured by permittivity; equal axes.
+
+    Args:
+        track: what was true and what was reconstructed.
+        png: the picture.
+        permittivity: range of the colour scale.
+        title: heading.
+        slots: at most so many slots are shown, evenly spaced and the last among them.
+    """
+    total = len(track.time_s)
+    shown = np.unique(np.linspace(total - 1, 0, min(slots, total)).round().astype(int))
+    rows, columns = (2, len(shown)) if len(shown) > 1 else (1, 2)
+    figure = _figure(3.5 * columns + 1.1, 3.6 * rows)
+    reach = float(np.quantile(np.linalg.norm(track.truth - track.position[:, None], axis=-1), 0.999)) * 1.02
+    bearing = track.position[-1]
+    azimuth = float(np.degrees(np.arctan2(-bearing[1], -bearing[0]))) + 30.0  # seen from beside the base station
+    panels = []
+    for column, slot in enumerate(shown):
+        truth = (track.truth[slot], np.full(len(track.truth[slot]), track.permittivity), track.normal[slot], TRUTH)
+        cloud = (track.points[slot], track.point_permittivity[slot], track.normal_estimate[slot], MODEL)
+        for row, (points, value, normal, colour) in enumerate((truth, cloud)):
+            axes = figure.add_subplot(rows, columns, row * len(shown) + column + 1, projection="3d")
+            panels.append(axes)
+            local = points - track.position[slot]
+            drawn = axes.scatter(*local.T, c=value, cmap="viridis", vmin=permittivity[0], vmax=permittivity[1], s=6,
+                                 linewidths=0, depthshade=True)
+            tip = 0.75 * reach * normal
+            axes.quiver(*local.mean(axis=0), *tip, color=colour, lw=1.6, arrow_length_ratio=0.2)
+            axes.set(xlim=(-reach, reach), ylim=(-reach, reach), zlim=(-reach, reach))
+            axes.set_box_aspect((1, 1, 1), zoom=1.25)
+            axes.view_init(elev=28, azim=azimuth)
+            _plain_box(axes, reach)
+            q = points.mean(axis=0) if row else track.position[slot]
+            place = f"({q[0]:.2f}, {q[1]:.2f}, {q[2]:.2f}) m"
+            axes.set_title(("reconstructed" if row else f"true, {track.time_s[slot]:.1f} s") + f"\n{place}",
+                           y=1.02, fontsize=10)
+    figure.suptitle(title, x=0.01, ha="left", fontsize=12, fontweight="bold")
+    bar = figure.colorbar(drawn, ax=panels, shrink=0.5, pad=0.02, aspect=28)
+    bar.set_label("relative permittivity")
+    bar.outline.set_visible(False)
+    _save(figure, png)
+
+
+def evaluation_curves(rows: Sequence[Mapping[str, Any]], png: str | Path, *, title: str) -> None:
+    """Accuracy over SNR: position, attitude and shape, every scheme that defines the metric, and the bound.
+
+    Args:
+        rows: as :func:`august_jax.evaluation.evaluate` gives them.
+        png: the picture.
+        title: heading.
+    """
+    panels = (("mpe_m", "position error [m]", True), ("mde", "direction error 1 − cos", True),
+              ("wd_db", "weighted distance [dB]", False), ("mcd_db", "Chamfer distance [dB]", False))
+    figure = _figure(11.0, 7.4)
+    schemes = list(dict.fromkeys(row["scheme"] for row in rows))
+    for index, (metric, label, logarithmic) in enumerate(panels):
+        axes = figure.add_subplot(2, 2, index + 1)
+        for scheme in schemes:
+            pairs = [(row["snr_db"], row[metric]) for row in rows if row["scheme"] == scheme and row[metric] is not None]
+            if pairs:
+                axes.plot(*np.array(sorted(pairs)).T, label=LABELS.get(scheme, scheme),
+                          **{"lw": 1.6, **STYLES.get(scheme, {"marker": "s", "ms": 4})})
+        if metric == "mpe_m":
+            bound = sorted({(row["snr_db"], row["bound_m"]) for row in rows if row["bound_m"] is not None})
+            if bound:
+                axes.plot(*np.array(bound).T, color="#2b9348", lw=1.6, ls="-.", label="bound")
+        if logarithmic:
+            axes.set_yscale("log")
+            axes.yaxis.set_major_formatter("{x:g}")
+        axes.set_xlabel("SNR [dB]")
+        axes.set_title(label, loc="left", fontsize=11)
+        _tidy(axes)
+    named = {label: line for axes in figure.axes for line, label in zip(*axes.get_legend_handles_labels())}
+    figure.legend(named.values(), named.keys(), loc="outside lower left", ncols=3, frameon=False, fontsize=9)
+    figure.suptitle(title, x=0.01, ha="left", fontsize=12, fontweight="bold")
+    _save(figure, png)
+
+
+def _figure(width: float, height: float) -> Figure:
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height), layout="constrained", facecolor="white")
+
+
+def _tidy(axes: Axes) -> None:
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.spines[["left", "bottom"]].set_color(SOFT)
+    axes.tick_params(colors=SOFT, which="both", labelsize=9)
+    axes.grid(color=LINE, lw=0.7, which="major")
+    axes.set_axisbelow(True)
+
+
+def _plain_box(axes: Axes, reach: float) -> None:
+    step = next((each for each in (0.1, 0.2, 0.5) if 1.7 * each > reach), 1.0)
+    for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
+        axis.set_pane_color((0.965, 0.973, 0.976, 1.0))
+        axis.line.set_color(LINE)
+        axis.set_ticks([-step, 0.0, step])
+        axis._axinfo["grid"].update(color=LINE, linewidth=0.6)
+    axes.tick_params(colors=SOFT, labelsize=7, pad=-2)
+
+
+def _save(figure: Figure, png: str | Path) -> None:
+    with replacing(png) as aside:
+        figure.savefig(aside, format="png", dpi=130)

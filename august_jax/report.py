@@ -1,0 +1,95 @@
+"""The report of a demo or a reconstruction: one HTML file that works offline, with a turnable view of both clouds.
+
+The page is ``viewer.html`` with the numbers put in as JSON. Points go in as 16-bit integers of ``QUANTUM_M`` about the
+true position of their slot, materials as bytes of their range, so that fifty slots of a thousand points stay below
+1.5 MB.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import math
+from collections.abc import Mapping, Sequence
+from importlib.resources import files
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from august_jax.export import write_text
+
+if TYPE_CHECKING:
+    from august_jax.pipeline import Track
+
+QUANTUM_M = 1e-4
+"""Step of the coordinates in the page [m]."""
+
+
+def write_report(
+    path: str | Path,
+    track: Track,
+    scores: Mapping[str, Any],
+    *,
+    title: str,
+    lead: str,
+    note: str,
+    setup: Sequence[tuple[str, str]],
+    following: Sequence[tuple[str, str]],
+    permittivity: tuple[float, float],
+    conductivity: tuple[float, float],
+) -> None:
+    """Write the report of ``track``.
+
+    Args:
+        path: the HTML file.
+        track: what was true and what was reconstructed.
+        scores: ``slots`` and ``schemes`` as :func:`august_jax.evaluation.score_track` gives them.
+        title, lead, note: heading, the sentence below it, and the remark under the table of schemes.
+        setup: pairs of name and value that say how the clouds were made.
+        following: pairs of a command and what it does.
+        permittivity, conductivity: ranges of the colour scale, [1] and [S/m].
+    """
+    ranges = {"permittivity": list(permittivity), "conductivity": list(conductivity)}
+    about = track.position[:, None, :]
+    truth, cloud = track.truth - about, track.points - about
+    reach = float(np.quantile(np.linalg.norm(truth, axis=-1), 0.999)) * 1.25
+    bearing = track.position[-1]
+    payload = {
+        "title": title,
+        "lead": lead,
+        "note": note,
+        "setup": [list(pair) for pair in setup],
+        "next": [list(pair) for pair in following],
+        "range": ranges,
+        "quantum_m": QUANTUM_M,
+        "reach_m": reach,
+        "grid_m": next((step for step in (0.02, 0.05, 0.1, 0.2, 0.5) if step > reach / 4), 1.0),
+        # from the base station's side, turned a little and lifted, so that rotors and legs both show
+        "view": {"turn": math.atan2(-bearing[1], -bearing[0]) + 0.5, "lift": 0.5},
+        "scores": list(scores["schemes"]),
+        "slots": [
+            {
+                **slot,
+                "true_points": _coordinates(truth[index]),
+                "points": _coordinates(cloud[index]),
+                "point_permittivity": _levels(track.point_permittivity[index], permittivity),
+                "point_conductivity": _levels(track.point_conductivity[index], conductivity),
+            }
+            for index, slot in enumerate(scores["slots"])
+        ],
+    }
+    # "<" is written as an escape, so that no text of the payload can close the script element
+    text = json.dumps(payload, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
+    page = files("august_jax").joinpath("viewer.html").read_text(encoding="utf-8")
+    write_text(path, page.replace("@PAYLOAD@", text))
+
+
+def _coordinates(points: np.ndarray) -> str:
+    steps = np.clip(np.round(points / QUANTUM_M), -32768, 32767).astype("<i2")
+    return base64.b64encode(steps.tobytes()).decode("ascii")
+
+
+def _levels(values: np.ndarray, span: tuple[float, float]) -> str:
+    level = (np.asarray(values) - span[0]) / max(span[1] - span[0], 1e-30)
+    return base64.b64encode(np.round(255 * np.clip(level, 0.0, 1.0)).astype(np.uint8).tobytes()).decode("ascii")

@@ -1,0 +1,34 @@
+"""What flies: airframes, their poses and flights, and the 5-D cloud that describes them."""
+
+from august_jax.scene.airframes import (
+    AIRFRAMES,
+    Airframe,
+    load_airframe,
+    procedural_airframe,
+    resolve_airframe,
+    sample_triangles,
+)
+from august_jax.scene.cloud import CloudReading, from_cloud, position_estimate, to_cloud
+from august_jax.scene.pose import random_rotation, rotation_from_euler, rotation_from_quaternion, tilt, transform
+from august_jax.scene.trajectory import Flight, fly, fly_many
+
+__all__ = [
+    "AIRFRAMES",
+    "Airframe",
+    "CloudReading",
+    "Flight",
+    "fly",
+    "fly_many",
+    "from_cloud",
+    "load_airframe",
+    "position_estimate",
+    "procedural_airframe",
+    "random_rotation",
+    "resolve_airframe",
+    "rotation_from_euler",
+    "rotation_from_quaternion",
+    "sample_triangles",
+    "tilt",
+    "to_cloud",
+    "transform",
+]

@@ -1,0 +1,148 @@
+"""What survives the process: checkpoints of a run (orbax), and weights alone as a plain .npz file.
+
+Both store arrays under dotted names, such as ``denoiser.layers.0.gate.kernel``, so that what is read is
+compared with what is wanted leaf by leaf. A run killed while it saves leaves a temporary folder that the next start
+removes; finished checkpoints are never touched by a save in progress.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import nnx
+
+from august_jax.config import Config
+from august_jax.models import create
+from august_jax.training.step import TrainState
+
+_KEEP = 2
+
+
+class Checkpoints:
+    """The checkpoints in one folder, one a saved step; the last two are kept. A context manager."""
+
+    def __init__(self, folder: str | os.PathLike):
+        from orbax.checkpoint import v1 as ocp  # here, because it takes seconds to import
+
+        policies = ocp.training
+        # The default policy drops a save while another is running; here the caller decides and every save is made.
+        self._checkpointer = ocp.training.Checkpointer(
+            Path(folder).resolve(),
+            save_decision_policy=policies.save_decision_policies.FixedIntervalPolicy(1),
+            preservation_policy=policies.preservation_policies.LatestN(_KEEP),
+            cleanup_tmp_directories=True,
+        )
+
+    def __enter__(self) -> Checkpoints:
+        return self
+
+    def __exit__(self, *_) -> None:
+        self._checkpointer.close()
+
+    @property
+    def latest(self) -> int | None:
+        """The last saved step; None where there is none."""
+        found = self._checkpointer.latest
+        return None if found is None else found.step
+
+    def save(self, state: TrainState) -> None:
+        """Write ``state`` under its own step number, and wait until it is on disk."""
+        self._checkpointer.save(int(state.step), flatten(_plain(state)), force=True, overwrite=True)
+
+    def restore(self, like: TrainState) -> TrainState:
+        """The last saved state, with the structure, types and placement of ``like``.
+
+        Raises:
+            ValueError: nothing is saved here, or it was saved from other networks.
+        """
+        if self.latest is None:
+            raise ValueError(f"folder: no checkpoint in {self._checkpointer.directory}; train from the start")
+        plain = _plain(like)
+        wanted = flatten(plain)
+        metadata = self._checkpointer.metadata(self.latest).metadata
+        stored = metadata["state"] if "state" in metadata else metadata
+        compare({name: leaf.shape for name, leaf in stored.items()}, wanted, self._checkpointer.directory)
+        abstract = {
+            name: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=leaf.sharding) for name, leaf in wanted.items()
+        }
+        arrays = self._checkpointer.load(self.latest, abstract)
+        state = jax.tree.unflatten(jax.tree.structure(plain), [arrays[name] for name in wanted])
+        return state._replace(key=jax.random.wrap_key_data(state.key, impl=jax.random.key_impl(like.key)))
+
+
+def save_weights(path: str | os.PathLike, state: nnx.State, *, half: bool = False) -> None:
+    """Write the networks' parameters as .npz, one array a dotted name; the file appears whole or not at all.
+
+    Args:
+        state: parameters as ``models.create`` returns them, or their moving average.
+        half: store float16, at half the size; parameters beyond its range raise.
+
+    Raises:
+        ValueError: a parameter is not finite, or not in float16.
+    """
+    arrays = {name: np.asarray(leaf) for name, leaf in flatten(state).items()}
+    if half:
+        with np.errstate(over="ignore"):
+            arrays = {name: leaf.astype(np.float16) for name, leaf in arrays.items()}
+    for name, leaf in arrays.items():
+        if not np.isfinite(leaf).all():
+            raise ValueError(f"state: {name} holds values that are not finite{' in float16' * half}; nothing written")
+    path = Path(path)
+    part = path.with_name(path.name + ".part")
+    with part.open("wb") as file:
+        np.savez(file, **arrays)
+    part.replace(path)
+
+
+def load_weights(path: str | os.PathLike, config: Config) -> tuple[nnx.GraphDef, nnx.State]:
+    """Networks of ``config`` with the parameters that :func:`save_weights` wrote: (graphdef, state), float32.
+
+    Raises:
+        ValueError: the file is missing or damaged, or belongs to another configuration (the first leaf is named).
+    """
+    graphdef, state = create(config, 0)
+    wanted = flatten(state)
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+    except (OSError, ValueError, EOFError, AttributeError) as error:
+        raise ValueError(f"path: {path} is not a readable .npz file of weights ({error})") from error
+    compare({name: leaf.shape for name, leaf in arrays.items()}, wanted, path)
+    leaves = [jnp.asarray(arrays[name], leaf.dtype) for name, leaf in wanted.items()]
+    return graphdef, jax.tree.unflatten(jax.tree.structure(state), leaves)
+
+
+def flatten(tree: Any) -> dict[str, jax.Array]:
+    """The leaves of a pytree by dotted name, in the pytree's own order."""
+    return {
+        ".".join(str(getattr(part, "key", getattr(part, "name", getattr(part, "idx", part)))) for part in path
+                 if getattr(part, "name", None) != "value"): leaf
+        for path, leaf in jax.tree_util.tree_leaves_with_path(tree)
+    }
+
+
+def compare(found: dict[str, tuple[int, ...]], wanted: dict[str, jax.Array], source: Any) -> None:
+    """Check stored shapes against the arrays that are wanted.
+
+    Raises:
+        ValueError: it names the first leaf that is missing, left over or of another shape.
+    """
+    for name, leaf in wanted.items():
+        if name not in found:
+            raise ValueError(f"{source}: {name} is missing; the file belongs to another model.* configuration")
+        if tuple(found[name]) != leaf.shape:
+            raise ValueError(f"{source}: {name} has shape {tuple(found[name])}, the configuration wants {leaf.shape}; "
+                             "use the configuration that it was trained with")
+    for name in found:
+        if name not in wanted:
+            raise ValueError(f"{source}: {name} is not part of this configuration's networks; "
+                             "use the configuration that it was trained with")
+
+
+def _plain(state: TrainState) -> TrainState:
+    return state._replace(key=jax.random.key_data(state.key))

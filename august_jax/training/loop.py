@@ -1,0 +1,144 @@
+"""The run: batches in, a folder out that can be continued after any interruption to the same numbers.
+
+The folder holds ``config.yaml``; ``metrics.jsonl``, one object a log point; ``curves.png`` if the caller says who
+draws it; ``checkpoints/``; and ``weights.npz``, the moving average of the parameters as of the last save, which is what evaluation loads.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import time
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+from flax import nnx
+
+from august_jax import config as configuration
+from august_jax.config import Config
+from august_jax.training.checkpoint import Checkpoints, save_weights
+from august_jax.training.step import TrainState, compiled_step, initial_state
+
+NextBatch = Callable[[int], Mapping[str, Any]]
+"""Step (0 at first) -> batch; the same step gives the same batch."""
+
+Validate = Callable[[nnx.GraphDef, nnx.State, int], Mapping[str, float]]
+"""(graphdef, averaged parameters, steps done) -> numbers to log."""
+
+Draw = Callable[[Path, Path], None]
+"""(metrics.jsonl, picture to write); ``plotting.training_curves`` is one."""
+
+
+def train(config: Config, next_batch: NextBatch, out_dir: str | os.PathLike, *, validate: Validate | None = None,
+          draw: Draw | None = None, resume: bool = True, printer: Callable[[str], None] = print) -> TrainState:
+    """Train to ``config.train.steps`` and return the last state.
+
+    The next batch is made in a thread while a step runs. Every ``save_every`` steps, and at the end, the state is
+    saved, ``validate`` is called, whose numbers join the metrics, and ``draw`` draws these.
+
+    Args:
+        config: everything; written to the folder.
+        next_batch: must depend on the step alone, or a continued run sees other data.
+        out_dir: made if missing.
+        resume: continue from the folder's last checkpoint if there is one; otherwise start again over it.
+        printer: takes progress lines.
+
+    Raises:
+        ValueError: the folder holds a run of another configuration.
+        FloatingPointError: the loss is not finite; names the step and the terms.
+    """
+    train = config.train
+    out = Path(out_dir)
+    out.mkdir(parents=True, exist_ok=True)
+    networks, state = initial_state(config)
+    with Checkpoints(out / "checkpoints") as checkpoints, ThreadPoolExecutor(1) as pool:
+        start = 0
+        if resume and checkpoints.latest is not None:
+            _check_same_run(config, out / "config.yaml")
+            state = checkpoints.restore(state)
+            start = int(state.step)
+            printer(f"continuing from step {start} of {train.steps}")
+        (out / "config.yaml").write_text(configuration.to_yaml(config), encoding="utf-8")
+        metrics = out / "metrics.jsonl"
+        _forget_after(metrics, start)
+        step_function = compiled_step(networks, train)
+        waiting = pool.submit(next_batch, start) if start < train.steps else None
+        reports, mark, began = [], time.perf_counter(), None
+        for done in range(start + 1, train.steps + 1):
+            batch = waiting.result()
+            if done < train.steps:
+                waiting = pool.submit(next_batch, done)
+            state, report = step_function(state, batch)
+            reports.append(report)
+            if began is None:
+                jax.block_until_ready(report)
+                printer(f"first step compiled and run in {time.perf_counter() - mark:.0f} s")
+                began = mark = time.perf_counter()
+            saving = done % train.save_every == 0 or done == train.steps
+            if not (saving or done % train.log_every == 0):
+                continue
+            line = {"step": done, **_average(jax.device_get(reports), done)}
+            now = time.perf_counter()
+            timed = len(reports) - (done - len(reports) == start)  # the first step compiled
+            line["samples_per_s"] = timed * train.batch / max(now - mark, 1e-9)
+            line["seconds_left"] = (train.steps - done) * (now - began) / max(done - start - 1, 1)
+            if saving:
+                checkpoints.save(state)
+                averaged = networks.unravel(state.ema)
+                save_weights(out / "weights.npz", averaged)
+                if validate is not None:
+                    line |= validate(networks.graphdef, averaged, done)
+            with metrics.open("a", encoding="utf-8") as file:
+                file.write(json.dumps({name: float(f"{value:.6g}") for name, value in line.items()}) + "\n")
+            printer(_progress(line, train.steps))
+            if saving and draw is not None:
+                draw(metrics, out / "curves.png")
+            reports, mark = [], time.perf_counter()
+    return state
+
+
+def _average(reports: list[Mapping[str, np.ndarray]], done: int) -> dict[str, float]:
+    for index, report in enumerate(reports):
+        wrong = [name for name, value in report.items() if not np.isfinite(value)]
+        if wrong:
+            raise FloatingPointError(
+                f"training: step {done - len(reports) + index + 1} gave values that are not finite in "
+                f"{', '.join(wrong)}; lower train.learning_rate, or look for such values in the data"
+            )
+    return {name: float(np.mean([report[name] for report in reports])) for name in reports[0]}
+
+
+def _progress(line: Mapping[str, float], steps: int) -> str:
+    known = ("step", "samples_per_s", "seconds_left")
+    numbers = "  ".join(f"{name} {value:.4g}" for name, value in line.items() if name not in known)
+    minutes, seconds = divmod(round(line["seconds_left"]), 60)
+    return (f"step {line['step']}/{steps}  {numbers}  {line['samples_per_s']:.0f} samples/s  "
+            f"{minutes}:{seconds:02d} left")
+
+
+def _check_same_run(config: Config, path: Path) -> None:
+    """Compare with the folder's configuration, apart from how long it runs and what it reports."""
+    def core(config: Config) -> dict[str, Any]:
+        train = dataclasses.replace(config.train, steps=1, log_every=1, save_every=1)
+        tree = configuration.to_dict(dataclasses.replace(config, train=train, evaluate=configuration.EvaluateConfig()))
+        return {f"{section}.{name}": value for section, fields in tree.items() if isinstance(fields, dict)
+                for name, value in fields.items()}
+
+    before, now = core(configuration.from_yaml(path.read_text(encoding="utf-8"))), core(config)
+    for name, value in now.items():
+        if before[name] != value:
+            raise ValueError(f"{name}: the run in {path.parent} was started with {before[name]!r}, now it is {value!r}; "
+                             "continue with the old value or choose another folder")
+
+
+def _forget_after(metrics: Path, step: int) -> None:
+    """Drop what a killed run logged beyond its last checkpoint."""
+    if metrics.exists():
+        lines = [line for line in metrics.read_text(encoding="utf-8").splitlines() if line.endswith("}")]
+        kept = [line for line in lines if json.loads(line)["step"] <= step]
+        metrics.write_text("".join(line + "\n" for line in kept), encoding="utf-8")

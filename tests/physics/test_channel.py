@@ -1,0 +1,184 @@
+"""The sensing channel: symmetry, a plain NumPy twin, limits, energy, and gradients against differences."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from lattices import cross, sphere, turned
+
+from august_jax.physics import Cells, PlanarArray, contrast, interaction_matrix, sensing_channel, solve_dense
+from august_jax.physics.mom import weighted_fields
+
+ARRAY = PlanarArray(4, 2, 3e9)
+CENTRE = np.array([1.5, 2.5, 0.8])
+CHI = 2.0 + 0.05j
+
+
+def placed(cells, dtype=np.float32):
+    moved = cells.moved(jnp.asarray(turned([0.3, 0.2, -0.4])), jnp.asarray(CENTRE))
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), moved)
+
+
+def twin(array, cells, chi):
+    """The same physics, written out with loops and 3 x 3 blocks in NumPy."""
+    k, count = array.wavenumber, cells.count
+    positions, volumes = np.asarray(cells.positions, float), np.asarray(cells.volumes, float)
+    fill, tensors = np.asarray(cells.fractions(), float), np.asarray(cells.tensors(), float)
+
+    def green(offset):
+        r = np.linalg.norm(offset)
+        unit, kr = offset / r, k * r
+        g, h = 3 / kr**2 - 3j / kr - 1, 1 / kr**2 - 1j / kr - 1
+        return (g * np.outer(unit, unit) - h * np.eye(3)) * np.exp(1j * kr) / (4 * np.pi * r)
+
+    system = np.zeros((count, 3, count, 3), complex)
+    for i in range(count):
+        x = k * (3 * volumes[i] / 4 / np.pi) ** (1 / 3)
+        own = (2 / 3) * (1 - 1j * x) * np.exp(1j * x) - 1
+        # 1/chi_cell = 1/(f chi) + ((1 - f)/f) n n^T, less what the cell does to itself.
+        system[i, :, i, :] = (1 / (fill[i] * chi) - own) * np.eye(3) + (1 - fill[i]) / fill[i] * tensors[i]
+        for j in range(count):
+            if i != j:
+                system[i, :, j, :] = -(k**2) * volumes[j] * green(positions[i] - positions[j])
+    fields = np.zeros((count, 3, array.count), complex)
+    for n, antenna in enumerate(array.positions):
+        for i in range(count):
+            fields[i, :, n] = green(positions[i] - antenna) @ np.asarray(array.polarization)
+    dipoles = np.linalg.solve(system.reshape(3 * count, -1), fields.reshape(3 * count, -1))
+    return k**2 * fields.reshape(3 * count, -1).T @ (np.repeat(volumes, 3)[:, None] * dipoles)
+
+
+def test_mom_agrees_with_the_written_out_twin():
+    with jax.enable_x64(True):
+        cells = placed(cross(), np.float64)
+        fast = np.asarray(sensing_channel(ARRAY, cells, CHI))
+        slow = twin(ARRAY, cells, CHI)
+    np.testing.assert_allclose(fast, slow, atol=1e-11 * np.abs(slow).max())
+    single = np.asarray(sensing_channel(ARRAY, placed(cross()), CHI))
+    # Float32 positions at 3 m are rounded to 1e-7 m, 1e-5 rad of phase.
+    assert np.linalg.norm(single - slow) < 1e-4 * np.linalg.norm(slow)
+
+
+@pytest.mark.parametrize("solver", ["mom", "local_field_born", "born"])
+@pytest.mark.parametrize(("dtype", "tolerance"), [(np.float32, 1e-6), (np.float64, 1e-12)])
+def test_reciprocity(solver, dtype, tolerance):
+    with jax.enable_x64(dtype == np.float64):
+        channel = np.asarray(sensing_channel(ARRAY, placed(cross(), dtype), CHI, solver=solver))
+    assert np.abs(channel - channel.T).max() <= tolerance * np.abs(channel).max()
+
+
+def test_solution_is_reciprocal_before_it_is_symmetrised():
+    with jax.enable_x64(True):
+        cells = placed(cross(), np.float64)
+        fields = np.random.default_rng(0).normal(size=(3 * cells.count, 4)) + 0j
+        solution = solve_dense(interaction_matrix(cells, ARRAY.wavenumber), CHI, jnp.asarray(fields))
+    product = fields.T @ np.asarray(solution.polarization)
+    np.testing.assert_allclose(product, product.T, atol=1e-12 * np.abs(product).max())
+    assert solution.residual < 1e-12
+
+
+def test_weak_contrast_is_born():
+    cells = placed(cross(fill=1.0))
+    weak = 1e-4
+    full, first = (np.asarray(sensing_channel(ARRAY, cells, weak, solver=name)) for name in ("mom", "born"))
+    assert np.linalg.norm(full - first) < 3.0 * weak * np.linalg.norm(first)
+
+
+def test_local_field_born_is_born_times_the_lorentz_factor():
+    cells = placed(cross(fill=1.0))
+    local, first = (np.asarray(sensing_channel(ARRAY, cells, CHI, solver=name)) for name in ("local_field_born", "born"))
+    np.testing.assert_allclose(local, first * 3 / (3 + CHI), rtol=2e-5)
+
+
+def test_energy_balance():
+    """What a lossy body takes from the wave, it absorbs or scatters: Im E*.P = absorption + radiation.
+
+    The discrete system conserves k^3 V/(6 pi) as the self radiation of a cell; the self term's imaginary part is that
+    of a sphere's average field, less by (ka)^2/10, here 1e-3.
+    """
+    cells = sphere(0.03, 8)
+    k = ARRAY.wavenumber
+    with jax.enable_x64(True):
+        cells = jax.tree.map(jnp.asarray, cells)
+        wave = jnp.zeros((cells.count, 3), complex).at[:, 0].set(jnp.exp(1j * k * cells.positions[:, 2]))
+        fields = weighted_fields(cells, wave.reshape(-1, 1))
+        matrix = interaction_matrix(cells, k)
+        polarization = np.asarray(solve_dense(matrix, 3.0 + 0.4j, fields).polarization)[:, 0]
+        incident = np.asarray(fields)[:, 0]
+        # k^2 sqrt(V) G sqrt(V) with its exact self radiation, by integration over all directions.
+        nodes, weights = np.polynomial.legendre.leggauss(24)
+        angles = 2 * np.pi * np.arange(48) / 48
+        sine = np.sqrt(1 - nodes**2)
+        directions = np.stack([np.outer(sine, np.cos(angles)), np.outer(sine, np.sin(angles)),
+                               np.outer(nodes, np.ones(48))], -1).reshape(-1, 3)
+        moments = (polarization * np.sqrt(np.repeat(np.asarray(cells.volumes), 3))).reshape(-1, 3)
+        far = np.exp(-1j * k * directions @ np.asarray(cells.positions).T) @ moments
+        far = far - directions * np.sum(far * directions, 1, keepdims=True)
+        power = np.repeat(weights, 48) * (2 * np.pi / 48) @ np.sum(np.abs(far) ** 2, 1)
+    extinction = np.imag(np.vdot(incident, polarization))
+    absorbed = np.imag(-1 / (3.0 + 0.4j)) * np.sum(np.abs(polarization) ** 2)
+    radiated = k**3 / (16 * np.pi**2) * power
+    assert abs(extinction - absorbed - radiated) < 2e-3 * extinction
+    assert absorbed > 0.05 * extinction and radiated > 0.05 * extinction
+
+
+def test_gradients_agree_with_differences():
+    with jax.enable_x64(True):
+        cells = placed(cross(), np.float64)
+        weights = jnp.asarray(np.random.default_rng(2).normal(size=(ARRAY.count,) * 2))
+
+        def value(positions, epsilon, sigma):
+            chi = contrast(epsilon, sigma, ARRAY.frequency_hz)
+            channel = sensing_channel(ARRAY, cells._replace(positions=positions), chi)
+            return jnp.sum(weights * jnp.abs(channel)) * 1e6
+
+        start = (cells.positions, jnp.asarray(3.0), jnp.asarray(0.01))
+        gradient = jax.grad(value, argnums=(0, 1, 2))(*start)
+        random = np.random.default_rng(3)
+        for argument, step in ((0, 1e-6), (1, 1e-5), (2, 1e-5)):
+            direction = random.normal(size=np.shape(start[argument]))
+            ahead, behind = (
+                value(*[x + sign * step * direction if n == argument else x for n, x in enumerate(start)])
+                for sign in (1, -1)
+            )
+            slope = float(np.sum(np.asarray(gradient[argument]) * direction))
+            assert abs(slope) > 1e-8
+            np.testing.assert_allclose(slope, (ahead - behind) / (2 * step), rtol=1e-5)
+
+
+def test_tones_and_batches_are_maps_of_the_single_case():
+    cells = placed(cross())
+    tones = (2.9e9, 3.1e9)
+    chi = np.asarray(contrast(3.0, 0.01, np.asarray(tones)))
+    both = sensing_channel(ARRAY, cells, chi[:, None], frequencies_hz=tones)
+    one = sensing_channel(ARRAY, cells, chi[1], frequencies_hz=tones[1:])[0]
+    np.testing.assert_allclose(both[1], one, rtol=1e-5, atol=1e-6 * np.abs(one).max())
+    batch = jax.vmap(lambda x: sensing_channel(ARRAY, cells._replace(positions=cells.positions + x), CHI))
+    shifts = jnp.asarray([[0.0, 0.0, 0.0], [0.0, 0.1, 0.0]])
+    alone = sensing_channel(ARRAY, cells._replace(positions=cells.positions + shifts[1]), CHI)
+    np.testing.assert_allclose(batch(shifts)[1], alone, atol=2e-5 * np.abs(alone).max())
+
+
+GOOD = cross()
+
+
+@pytest.mark.parametrize(("cells", "chi", "options", "message"), [
+    (GOOD, CHI, {"solver": "fast"}, "unknown solver 'fast'"),
+    (GOOD._replace(positions=GOOD.positions[None]), CHI, {}, "cells.positions: got shape"),
+    (GOOD._replace(volumes=GOOD.volumes[:-1]), CHI, {}, "cells.volumes: got shape"),
+    (GOOD._replace(volumes=-GOOD.volumes), CHI, {}, "must be positive"),
+    (GOOD._replace(positions=GOOD.positions * np.nan), CHI, {}, "NaN"),
+    (GOOD._replace(positions=np.zeros_like(GOOD.positions) + 1.0), CHI, {}, "coincide"),
+    (GOOD._replace(fill=1.5), CHI, {}, "cells.fill"),
+    (GOOD, np.ones(3), {}, "contrast: got shape"),
+    (GOOD, np.nan, {}, "contrast: holds NaN"),
+    (GOOD, CHI, {"at_array": True}, "outside the body"),
+])
+def test_bad_input_is_named(cells, chi, options, message):
+    options = dict(options)
+    if not options.pop("at_array", False) and cells.positions.ndim == 2:
+        cells = cells._replace(positions=cells.positions + CENTRE)
+    else:
+        cells = Cells(*cells)
+    with pytest.raises(ValueError, match=message):
+        sensing_channel(ARRAY, cells, chi, **options)

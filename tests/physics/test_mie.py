@@ -1,0 +1,55 @@
+"""The dielectric sphere: the coupled system against the Mie series.
+
+A plane wave along z, polarised along x, meets a sphere of lattice cells; its complex far field is compared with
+Mie's in both principal planes. Cells of the lattice meet the surface in steps, which is most of the error left.
+"""
+
+import jax
+import jax.numpy as jnp
+import mie
+import numpy as np
+import pytest
+from lattices import sphere
+
+from august_jax.physics import interaction_matrix, self_term, solve_dense
+from august_jax.physics.mom import weighted_fields
+
+K = 2 * np.pi  # wavelength 1 m
+
+
+def far_field_error(permittivity, ka, across, matrix_of=interaction_matrix):
+    cells = sphere(ka / K, across)
+    angles = np.linspace(0.0, np.pi, 19)
+    with jax.enable_x64(True):
+        wave = np.zeros((cells.count, 3), complex)
+        wave[:, 0] = np.exp(1j * K * cells.positions[:, 2])
+        fields = weighted_fields(cells, jnp.asarray(wave.reshape(-1, 1)))
+        solution = solve_dense(matrix_of(cells, K), permittivity - 1.0, fields)
+        moments = np.asarray(weighted_fields(cells, solution.polarization)).reshape(-1, 3)
+    s1, s2 = mie.amplitudes(permittivity, ka, angles)
+    sine, cosine = np.sin(angles), np.cos(angles)
+    # Far field E = e^{jkr}/(-jkr) S E_inc (Bohren and Huffman), against k^2 e^{jkr}/(4 pi r) of the moments.
+    worst = 0.0
+    for direction, transverse, expected in (
+        (np.stack([0 * sine, sine, cosine], 1), np.array([1.0, 0.0, 0.0]) + 0 * sine[:, None], s1),
+        (np.stack([sine, 0 * sine, cosine], 1), np.stack([cosine, 0 * sine, -sine], 1), s2),
+    ):
+        phase = np.exp(-1j * K * direction @ cells.positions.T)
+        field = K**2 / (4 * np.pi) * np.einsum("dn,na,da->d", phase, moments, transverse)
+        worst = max(worst, np.linalg.norm(field * (-1j * K) - expected) / np.linalg.norm(expected))
+    return worst
+
+
+@pytest.mark.parametrize(("permittivity", "ka", "ceiling"), [(2.0, 0.3, 0.01), (4.0, 0.3, 0.01), (2.0, 1.0, 0.04),
+                                                            (4.0, 1.0, 0.04)])
+def test_sphere_of_some_500_cells(permittivity, ka, ceiling):
+    assert far_field_error(permittivity, ka, 10) < ceiling
+
+
+def test_without_the_self_term_the_sphere_is_wrong():
+    def bare(cells, k):
+        matrix = interaction_matrix(cells, k)
+        own = self_term(jnp.asarray(cells.volumes), k)
+        return matrix - jnp.diag(jnp.repeat(own, 3))
+
+    assert far_field_error(4.0, 0.3, 10, bare) > 0.2

@@ -1,0 +1,186 @@
+"""AUGUST's loss and reconstruction, for every scheme, on tiny networks."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from flax import nnx
+from jax.flatten_util import ravel_pytree
+
+from august_jax.config import preset
+from august_jax.models import create, parameter_count, reconstruct
+from august_jax.models.refchannel import RefChannel, reference_centre
+
+SMOKE = preset("smoke")
+BATCH, POINTS = 4, 12
+
+
+def config(scheme="august", encoder="roi"):
+    model = replace(SMOKE.model, scheme=scheme, encoder=encoder, channel_features=12, encoder_features=16, latent=6,
+                    fourier=2, denoiser=(8, 8), steps=10)
+    return replace(SMOKE, array=replace(SMOKE.array, nx=5, nz=4), model=model,
+                   train=replace(SMOKE.train, points=8))
+
+
+def batch(size=20):
+    generator = np.random.default_rng(0)
+    channel = generator.normal(size=(2, BATCH, 1, size, size, 2)).astype(np.float32) @ np.array([1e-6, 1e-6j], "F")
+    channel = channel + np.swapaxes(channel, -1, -2)
+    return {
+        "channel": channel[0], "reference": channel[1],
+        "predicted": generator.uniform([3, 4, 2], [7, 8, 5], (BATCH, 3)).astype(np.float32),
+        "snr_db": generator.uniform(0, 30, BATCH).astype(np.float32),
+        "cloud": generator.uniform(-1, 1, (BATCH, POINTS, 5)).astype(np.float32),
+    }
+
+
+def networks(settings):
+    """Networks away from their start, where last layers are zero."""
+    graphdef, state = create(settings, 0)
+    generator = np.random.default_rng(1)
+    return graphdef, jax.tree.map(lambda leaf: leaf + 0.1 * generator.normal(size=leaf.shape).astype("f"), state)
+
+
+SCHEMES = [("august", "roi"), ("august", "paper"), ("noebd", "roi"), ("nolatent", "roi"), ("refchannel", "roi"),
+           ("refchannel", "paper")]
+
+
+@pytest.mark.parametrize("scheme, encoder", SCHEMES)
+def test_the_loss_is_the_weighted_sum_and_reaches_every_parameter(scheme, encoder):
+    settings = config(scheme, encoder)
+    graphdef, state = networks(settings)
+    train = replace(settings.train, weight_latent=0.01)
+    if hasattr(train, "weight_readout"):
+        train = replace(train, weight_readout=0.5)
+
+    @jax.jit
+    def step(state):
+        return jax.value_and_grad(
+            lambda state: nnx.merge(graphdef, state).loss(jax.random.key(0), batch(), train), has_aux=True)(state)
+
+    (loss, terms), gradient = step(state)
+    extra = {"august": {"latent"}, "noebd": {"latent"}, "refchannel": {"reference"}}.get(scheme, set())
+    assert set(terms) == {"position", "material", "readout"} | extra
+    expected = 0.9 * terms["position"] + 0.1 * terms["material"] + 0.01 * terms.get("latent", 0.0)
+    expected += terms.get("reference", 0.0) + getattr(train, "weight_readout", 0.0) * terms["readout"]
+    np.testing.assert_allclose(loss, expected, rtol=1e-5)
+    silent = [jax.tree_util.keystr(path) for path, leaf in jax.tree_util.tree_leaves_with_path(gradient)
+              if not np.abs(leaf).max() > 0 and ("readout" not in str(path) or hasattr(train, "weight_readout"))]
+    assert not silent
+
+
+def test_an_untrained_denoiser_scores_the_noise_itself():
+    """The first estimate is 0, so that the terms are E |eps|^2 = 3 and 2."""
+    settings = config()
+    graphdef, state = create(settings, 0)
+    data = batch()
+    big = {name: np.repeat(array, 200, axis=0) for name, array in data.items()}
+    _, terms = jax.jit(lambda state: nnx.merge(graphdef, state).loss(jax.random.key(0), big, settings.train))(state)
+    # five standard errors: variance 6 and 4 of a chi-squared over 800 * 8 points
+    np.testing.assert_allclose(terms["position"], 3.0, atol=0.16)
+    np.testing.assert_allclose(terms["material"], 2.0, atol=0.13)
+
+
+def test_the_latent_term_is_the_relative_entropy():
+    """Before training the prior is a standard normal, for which the relative entropy has a closed form."""
+    settings = config()
+    graphdef, state = create(settings, 0)
+    model, data = nnx.merge(graphdef, state), batch()
+    mean, log_variance = model.posterior(data["channel"], data["predicted"], data["snr_db"])
+    exact = 0.5 * np.sum(np.exp(log_variance) + np.square(mean) - 1.0 - log_variance, axis=-1).mean()
+    terms = jax.jit(jax.vmap(lambda key: model.loss(key, data, settings.train)[1]["latent"]))(
+        jax.random.split(jax.random.key(0), 400))
+    np.testing.assert_allclose(np.mean(terms), exact, atol=5 * np.std(terms) / np.sqrt(400))
+
+
+def test_the_condition_is_the_posterior_s_mean_or_a_sample_of_it():
+    graphdef, state = networks(config())
+    model, data = nnx.merge(graphdef, state), batch()
+    inputs = data["channel"], data["predicted"], data["snr_db"]
+    mean, log_variance = model.posterior(*inputs)
+    np.testing.assert_array_equal(model.condition(*inputs), mean)
+    samples = jax.jit(jax.vmap(lambda key: model.condition(*inputs, key)))(jax.random.split(jax.random.key(0), 2000))
+    np.testing.assert_allclose(samples.std(0), np.exp(0.5 * log_variance), rtol=0.1)
+    np.testing.assert_allclose(samples.mean(0), mean, atol=5 * np.exp(0.5 * log_variance).max() / np.sqrt(2000))
+    assert model.readout(*inputs).shape == (BATCH, 5)
+
+
+@pytest.mark.parametrize("scheme", ["august", "nolatent", "refchannel"])
+def test_reconstruction_is_a_function_of_its_key(scheme):
+    graphdef, state = networks(config(scheme))
+    data = batch()
+    inputs = data["channel"], data["predicted"], data["snr_db"]
+
+    def clouds(seed, **options):
+        return np.asarray(reconstruct(graphdef, state, jax.random.key(seed), *inputs, count=9, **options))
+
+    one = clouds(0, steps=4)
+    assert one.shape == (BATCH, 9, 5) and np.isfinite(one).all()
+    np.testing.assert_array_equal(one, clouds(0, steps=4))
+    assert np.abs(one - clouds(1, steps=4)).max() > 0.1
+    assert clouds(0, sampler="ancestral").shape == (BATCH, 9, 5)
+    with pytest.raises(ValueError, match="sampler: unknown sampler 'euler'; choose dpm or ancestral"):
+        clouds(0, sampler="euler")
+    with pytest.raises(ValueError, match="sampler_steps: 11 .*2..10"):
+        clouds(0, steps=11)
+
+
+def test_the_path_of_a_reconstruction():
+    graphdef, state = networks(config())
+    data = batch()
+    path = nnx.merge(graphdef, state).denoising(jax.random.key(0), data["channel"], data["predicted"], data["snr_db"],
+                                                7, after=(0, 4, 10))
+    assert path.shape == (3, BATCH, 7, 5)
+
+
+def test_the_reference_channel_is_centred_on_the_box():
+    """At the reference place itself the target's own channel is the reference: the loss compares like with like."""
+    settings = config("refchannel")
+    model, data = RefChannel(settings, rngs=nnx.Rngs(0)), batch()
+    centre = np.broadcast_to(reference_centre(settings), (BATCH, 3)).astype(np.float32)
+    np.testing.assert_allclose(centre[0], [5.0, 6.0, 3.5])
+    vector = model.vector(data["channel"], centre)
+    np.testing.assert_allclose(np.linalg.norm(vector, axis=-1), 1.0, rtol=1e-5)
+    assert model.loss(vector, data["channel"]) < 1e-10
+    np.testing.assert_allclose(model.loss(-vector, data["channel"]), 4.0, rtol=1e-5)
+
+
+@pytest.mark.parametrize("scheme, change, message", [
+    ("refchannel", lambda data: data.pop("reference"), "'reference' is missing; scheme 'refchannel' needs"),
+    ("august", lambda data: data.pop("snr_db"), "'snr_db' is missing"),
+    ("august", lambda data: data.update(cloud=np.zeros((BATCH, 9, 3), "f")), r"\['cloud'\]: got shape \(4, 9, 3\)"),
+    ("august", lambda data: data.update(predicted=np.zeros((1, 3), "f")), r"\['predicted'\].*must be \(4, 3\)"),
+])
+def test_a_wrong_batch_is_named(scheme, change, message):
+    settings = config(scheme)
+    model = nnx.merge(*create(settings, 0))
+    data = batch()
+    change(data)
+    with pytest.raises(ValueError, match=message):
+        model.loss(jax.random.key(0), data, settings.train)
+
+
+def test_a_scheme_without_a_latent_has_no_posterior():
+    model, data = nnx.merge(*create(config("nolatent"), 0)), batch()
+    with pytest.raises(ValueError, match="'nolatent' has no posterior; choose august or noebd"):
+        model.posterior(data["channel"], data["predicted"], data["snr_db"])
+
+
+def test_the_paper_s_networks_have_the_paper_s_sizes():
+    _, state = create(preset("paper"), 0)
+    widths = [5, 16, 64, 128, 256, 512, 1024, 512, 256, 128, 64, 16, 5]
+    layers = state["denoiser"]["layers"]
+    assert [layers[index]["linear"]["kernel"].shape for index in range(12)] == list(zip(widths, widths[1:]))
+    assert layers[0]["gate"]["kernel"].shape == (5 + 256, 16)
+    assert len(state["prior"]["conditioners"]) == 14 and len(state["encoder"]["trunk"]["blocks"]) == 6
+    assert state["encoder"]["channel_map"]["kernel"].shape == (2 * 64 * 64, 256)
+    assert state["encoder"]["position_head"]["layers"][0]["kernel"].shape[0] == 3 * 21
+    assert parameter_count(state) == ravel_pytree(state)[0].size
+
+
+def test_create_is_a_function_of_its_seed():
+    one, same, other = (ravel_pytree(create(config(), seed)[1])[0] for seed in (3, 3, 4))
+    np.testing.assert_array_equal(one, same)
+    assert np.abs(one - other).max() > 0.1

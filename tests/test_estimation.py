@@ -1,0 +1,229 @@
+"""Estimators against their definitions, their error in the sector, and one base station at work."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from august_jax.config import ArrayConfig, RegionConfig, SignalConfig
+from august_jax.physics.array import PlanarArray
+from august_jax.signal import beams, estimation, roi
+
+ARRAY = ArrayConfig()
+REGION = RegionConfig()
+BOXES = {"paper": ((10, 30), (10, 30), (10, 20)), "near": ((3, 7), (4, 8), (2, 5))}
+
+
+def scenes(box, count, array=ARRAY, seed=0):
+    """Sums of 40 random point echoes within 0.35 m, predicted with an error of up to 0.5 m along each axis."""
+    rng = np.random.default_rng(seed)
+    planar = PlanarArray(array.nx, array.nz, array.frequency_hz)
+    channels, predictions = [], []
+    for _ in range(count):
+        centre = np.array([rng.uniform(*span) for span in BOXES[box]])
+        parts = centre + rng.uniform(-1, 1, (40, 3)) * [0.25, 0.25, 0.1]
+        amplitude = 1e-7 * (rng.normal(size=40) + 1j * rng.normal(size=40))
+        tones = []
+        for frequency in array.frequencies_hz:
+            k = planar.wavenumber * frequency / array.frequency_hz
+            wave = np.exp(1j * k * np.linalg.norm(parts[:, None] - planar.positions, axis=-1))
+            tones.append((wave.T * amplitude) @ wave)
+        channels.append(np.stack(tones))
+        predictions.append(centre + rng.uniform(-0.5, 0.5, 3))
+    return jnp.asarray(np.array(channels), jnp.complex64), jnp.asarray(np.array(predictions), jnp.float32)
+
+
+def observed(box, estimator, snr_db, count=24, function=estimation.observe, array=ARRAY, **options):
+    channels, predictions = scenes(box, count, array)
+    signal = SignalConfig(estimator=estimator, **options)
+
+    def one(key, channel, predicted):
+        return function(key, channel, predicted, array=array, signal=signal, region=REGION, snr_db=snr_db)
+
+    seen = jax.jit(jax.vmap(one))(jax.random.split(jax.random.key(7), count), channels, predictions)
+    return channels, predictions, seen
+
+
+def nmse_db(estimate, true):
+    axes = tuple(range(1, true.ndim))
+    return 10 * np.log10(np.mean(np.sum(np.abs(estimate - true) ** 2, axes) / np.sum(np.abs(true) ** 2, axes)))
+
+
+@pytest.mark.parametrize(
+    ("box", "estimator", "wanted"),
+    [("paper", "ls", -18), ("paper", "ridge", -20), ("paper", "dft", -11), ("paper", "lmmse_roi", -46),
+     ("near", "lmmse_roi", -40), ("near", "ls", -18)],
+)
+def test_error_of_the_estimators_at_20_db(box, estimator, wanted):
+    """Within 2 dB of the figures found with NumPy in double precision, 30 draws each."""
+    true, _, seen = observed(box, estimator, 20.0)
+    assert abs(nmse_db(seen.channel, true) - wanted) < 2.0
+    np.testing.assert_allclose(seen.channel, jnp.swapaxes(seen.channel, -1, -2), rtol=1e-4, atol=1e-4 * 1e-6)
+
+
+def test_truncation_is_reported():
+    _, _, seen = observed("paper", "ls", 20.0, count=4)
+    assert np.all(seen.rank < 20) and np.all(seen.rank > 5)
+    _, _, seen = observed("paper", "dft", 20.0, count=4)
+    assert np.all(seen.rank == 64)
+
+
+@pytest.mark.parametrize("estimator", ["ls", "lmmse_roi"])
+@pytest.mark.parametrize("pilots", ["unitary", "gaussian"])
+def test_requested_snr_is_realised(estimator, pilots):
+    _, _, seen = observed("near", estimator, 12.0, count=8, pilots=pilots)
+    # ||N||^2 of 4096 entries spreads by 1/64, 0.07 dB.
+    np.testing.assert_allclose(seen.snr_db, 12.0, atol=0.3)
+    assert np.ptp(seen.snr_db) > 0.0
+
+
+def test_power_and_snr_are_two_ways_to_say_one_thing():
+    channels, predictions, seen = observed("near", "ridge", 17.0, count=1)
+    again = estimation.observe(jax.random.split(jax.random.key(7), 1)[0], channels[0], predictions[0], array=ARRAY,
+                               signal=SignalConfig(estimator="ridge"), region=REGION, power_dbm=seen.power_dbm[0])
+    np.testing.assert_allclose(again.snr_db, seen.snr_db[0], atol=1e-3)
+    np.testing.assert_allclose(again.channel, seen.channel[0], atol=1e-3 * float(jnp.max(jnp.abs(channels))))
+
+
+def test_dft_pilots_get_the_power_of_the_sector_pilots():
+    """They light everything alike, so that the same power buys some 12 dB less echo."""
+    _, _, sector = observed("paper", "ls", 20.0, count=8)
+    _, _, everywhere = observed("paper", "dft", 20.0, count=8)
+    np.testing.assert_allclose(everywhere.power_dbm, sector.power_dbm, atol=0.2)  # Gaussian-free: only rounding
+    assert 9 < float(jnp.mean(sector.snr_db - everywhere.snr_db)) < 15
+
+
+@pytest.mark.parametrize("pilots", ["unitary", "gaussian"])
+def test_reduced_observation_has_the_statistics_of_the_explicit_one(pilots):
+    """Power, SNR and error of the short cut against echo and estimator written out with Y, X and N."""
+    count = 24
+    channels, predictions, reduced = observed("near", "lmmse_roi", 15.0, count, pilots=pilots)
+    planar = PlanarArray(ARRAY.nx, ARRAY.nz, ARRAY.frequency_hz)
+    basis = roi.legendre_basis(ARRAY.nx, ARRAY.nz)
+
+    def explicit(key, channel, predicted, power_dbm):
+        key_pilots, key_noise = jax.random.split(key)
+        book = beams.roi_codebook(ARRAY.nx, ARRAY.nz, beams.direction_angles(predicted), (np.pi / 6, np.pi / 6))
+        noise_w = beams.dbm_to_watt(-120.0)
+        sent = beams.pilots(book, beams.pilot_symbols(key_pilots, 64, 64, pilots), beams.dbm_to_watt(power_dbm))
+        received, snr = estimation.echo(key_noise, channel[0], sent, noise_w)
+        region = estimation.Region(predicted, REGION.scale_m, planar.positions, planar.wavenumber, basis)
+        made = estimation.estimate("lmmse_roi", received, sent, noise_w=noise_w, region=region)
+        return made.channel[None], 10 * jnp.log10(snr)
+
+    keys = jax.random.split(jax.random.key(3), count)
+    made, snr = jax.jit(jax.vmap(explicit))(keys, channels, predictions, reduced.power_dbm)
+    # Gaussian pilots scatter the echo's energy by some tenths of a dB from draw to draw.
+    np.testing.assert_allclose(snr.mean(), reduced.snr_db.mean(), atol=0.1 if pilots == "unitary" else 0.5)
+    assert abs(nmse_db(made, channels) - nmse_db(reduced.channel, channels)) < 1.5  # 24 draws of each
+
+
+@pytest.mark.parametrize("estimator", ["lmmse_roi", "dft"])
+def test_observe_roi_is_the_projection_of_observe(estimator):
+    channels, predictions, seen = observed("near", estimator, 15.0, count=3)
+    *_, reduced = observed("near", estimator, 15.0, count=3, function=estimation.observe_roi)
+    planar = PlanarArray(ARRAY.nx, ARRAY.nz, ARRAY.frequency_hz)
+    for n in range(3):
+        projected = roi.project(seen.channel[n, 0], predictions[n], planar.positions, planar.wavenumber,
+                                roi.legendre_basis(ARRAY.nx, ARRAY.nz))
+        scale = float(jnp.max(jnp.abs(projected)))
+        np.testing.assert_allclose(reduced.coefficients[n, 0], projected, atol=1e-4 * scale)
+    np.testing.assert_allclose(reduced.snr_db, seen.snr_db, atol=1e-4)
+
+
+def test_region_estimate_against_a_slow_bayesian_twin():
+    """The estimate equals the Gaussian posterior mean of vec(H) with the covariance sum_q p w_q vec(gg^T)vec(gg^T)^H."""
+    array = PlanarArray(4, 2, 3e9)
+    rng = np.random.default_rng(2)
+    predicted, half = np.array([3.0, 4.0, 2.0]), 0.75
+    sent = rng.normal(size=(8, 8)) + 1j * rng.normal(size=(8, 8))
+    received = 30 * (rng.normal(size=(8, 8)) + 1j * rng.normal(size=(8, 8)))
+    places, weights = np.polynomial.legendre.leggauss(estimation.NODES_PER_AXIS)
+    atoms, shares = [], []
+    for x, wx in zip(places, weights):
+        for y, wy in zip(places, weights):
+            for z, wz in zip(places, weights):
+                point = predicted + half * np.array([x, y, z])
+                wave = np.exp(1j * array.wavenumber * np.linalg.norm(point - array.positions, axis=-1))
+                atoms.append(np.outer(wave, wave))
+                shares.append(wx * wy * wz / 8)
+    echoes = np.array([(atom @ sent).ravel() for atom in atoms]).T
+    energy = np.sum(np.abs(received) ** 2) - received.size
+    power = energy / np.sum(np.array(shares) * np.sum(np.abs(echoes) ** 2, axis=0))
+    prior = power * np.array(shares)
+    covariance = (echoes * prior) @ echoes.conj().T + np.eye(echoes.shape[0])
+    amplitudes = prior * (echoes.conj().T @ np.linalg.solve(covariance, received.ravel()))
+    slow = np.tensordot(amplitudes, np.array(atoms), 1)
+    region = estimation.Region(jnp.asarray(predicted, jnp.float32), half, array.positions, array.wavenumber,
+                               roi.legendre_basis(4, 2))
+    fast = estimation.lmmse_roi(jnp.asarray(received, jnp.complex64), jnp.asarray(sent, jnp.complex64), 1.0, region)
+    # All eight functions of a 4 x 2 array: no truncation; float32 solve of condition number 1e4.
+    np.testing.assert_allclose(fast.channel, slow, atol=2e-3 * np.abs(slow).max())
+
+
+def test_ls_is_exact_without_noise_and_with_invertible_pilots():
+    rng = np.random.default_rng(0)
+    channel = rng.normal(size=(6, 6)) + 1j * rng.normal(size=(6, 6))
+    channel = jnp.asarray(channel + channel.T, jnp.complex64)
+    sent = beams.pilot_symbols(jax.random.key(0), 6, 8)
+    for name in ("ls", "dft"):
+        made = estimation.estimate(name, channel @ sent, sent)
+        np.testing.assert_allclose(made.channel, channel, atol=1e-5)
+        assert made.rank == 6
+
+
+def test_snr_is_estimated_from_the_received_energy():
+    channels, predictions = scenes("near", 1)
+    book = beams.roi_codebook(16, 4, beams.direction_angles(predictions[0]), (np.pi / 6, np.pi / 6))
+    sent = beams.pilots(book, beams.pilot_symbols(jax.random.key(0), 64, 64), 1e-3)
+    noise_w = float(jnp.mean(jnp.abs(channels[0, 0] @ sent) ** 2)) / 10.0
+    received, realised = estimation.echo(jax.random.key(1), channels[0, 0], sent, noise_w)
+    np.testing.assert_allclose(realised, 10.0, rtol=0.06)  # 4096 noise entries: 1.6 %
+    np.testing.assert_allclose(estimation.estimate_snr(received, noise_w), realised, rtol=0.06)
+    assert estimation.estimate_snr(jnp.zeros((64, 64), jnp.complex64), noise_w) > 0.0
+
+
+def test_tones_share_the_power_and_the_snr():
+    array = replace(ARRAY, nx=8, nz=2, tones_hz=(2.95e9, 3.0e9, 3.05e9))
+    channels, predictions, seen = observed("near", "lmmse_roi", 20.0, count=8, array=array)
+    assert seen.channel.shape == (8, 3, 16, 16)
+    np.testing.assert_allclose(seen.snr_db, 20.0, atol=0.5)  # 768 noise entries: 0.16 dB
+    assert nmse_db(seen.channel, channels) < -25
+    *_, alike = observed("near", "ls", 20.0, count=8, array=array)
+    np.testing.assert_allclose(seen.power_dbm, alike.power_dbm, atol=0.1)
+
+
+def test_estimate_improves_with_power_up_to_float32():
+    errors = [nmse_db(*(lambda true, _, seen: (seen.channel, true))(*observed("near", "lmmse_roi", snr, count=12)))
+              for snr in (0.0, 15.0, 30.0, 60.0)]
+    assert errors[0] > errors[1] + 8 and errors[1] > errors[2] + 8
+    assert errors[3] < errors[2]
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"channel": jnp.zeros((64, 64), jnp.complex64)}, r"\(1, 64, 64\)"),
+        ({"predicted": jnp.zeros((2, 3))}, r"\(2, 3\)"),
+        ({"power_dbm": 20.0}, "exactly one"),
+        ({"snr_db": None}, "exactly one"),
+    ],
+)
+def test_bad_observation_is_named(change, words):
+    arguments = {"channel": jnp.zeros((1, 64, 64), jnp.complex64), "predicted": jnp.ones(3), "array": ARRAY,
+                 "signal": SignalConfig(), "region": REGION, "snr_db": 10.0} | change
+    with pytest.raises(ValueError, match=words):
+        estimation.observe(jax.random.key(0), arguments.pop("channel"), arguments.pop("predicted"), **arguments)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [(("mmse",), "mmse"), (("ridge",), "noise_w"), (("lmmse_roi",), "noise_w")],
+)
+def test_bad_estimate_is_named(arguments, words):
+    with pytest.raises(ValueError, match=words):
+        estimation.estimate(*arguments, jnp.zeros((4, 4), jnp.complex64), jnp.zeros((4, 4), jnp.complex64))
+    with pytest.raises(ValueError, match=r"\(4, 5\)"):
+        estimation.estimate("ls", jnp.zeros((4, 5), jnp.complex64), jnp.zeros((4, 4), jnp.complex64))

@@ -1,0 +1,47 @@
+"""Pictures: they are written, they hold ink where they should, and bad input is refused by name."""
+
+import json
+import struct
+
+import pytest
+from made_up_track import made_up_track
+
+from august_jax import plotting
+
+
+def size(png):
+    head = png.read_bytes()[:24]
+    assert head[:8] == b"\x89PNG\r\n\x1a\n"
+    return struct.unpack(">II", head[16:24])
+
+
+def test_training_curves_draw_every_term_once(tmp_path):
+    lines = [{"step": 10 * k, "loss": 1.0 / k, "position": 0.5 / k, "samples_per_s": 100.0} for k in range(1, 40)]
+    (tmp_path / "two.jsonl").write_text("\n".join(map(json.dumps, lines)))
+    (tmp_path / "one.jsonl").write_text("\n".join(json.dumps({"step": x["step"], "loss": x["loss"]}) for x in lines))
+    plotting.training_curves(tmp_path / "two.jsonl", tmp_path / "two.png")
+    plotting.training_curves(tmp_path / "one.jsonl", tmp_path / "one.png")
+    # one panel a loss term: the speed is not one
+    assert size(tmp_path / "two.png")[0] == 2 * size(tmp_path / "one.png")[0]
+
+
+def test_training_curves_refuse_an_empty_log(tmp_path):
+    (tmp_path / "metrics.jsonl").write_text("")
+    with pytest.raises(ValueError, match="holds no loss terms"):
+        plotting.training_curves(tmp_path / "metrics.jsonl", tmp_path / "curves.png")
+    assert not (tmp_path / "curves.png").exists()
+
+
+@pytest.mark.parametrize("slots, wide", [(1, True), (6, True)])
+def test_clouds_fit_one_slot_and_many(tmp_path, slots, wide):
+    plotting.clouds(made_up_track(slots), tmp_path / "clouds.png", permittivity=(1.5, 5.0), title="made up")
+    width, height = size(tmp_path / "clouds.png")
+    assert (width > height) == wide
+
+
+def test_evaluation_curves_leave_out_what_is_not_defined(tmp_path):
+    none = {"mpe_m": None, "mde": None, "wd_db": None, "mcd_db": None, "count": 8, "bound_m": 0.02}
+    rows = [{"scheme": scheme, "snr_db": snr, **none, **values} for snr in (0.0, 20.0) for scheme, values in
+            {"august": {"mpe_m": 0.1, "mde": 0.02, "wd_db": -20.0, "mcd_db": -30.0}, "prior": {"mpe_m": 0.48}}.items()]
+    plotting.evaluation_curves(rows, tmp_path / "evaluation.png", title="made up")
+    assert min(size(tmp_path / "evaluation.png")) > 500

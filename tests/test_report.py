@@ -1,0 +1,51 @@
+"""The report: one offline file whose payload holds the clouds to the tenth of a millimetre."""
+
+import base64
+import json
+import re
+
+import numpy as np
+from made_up_track import made_up_track
+
+from august_jax import report
+
+SCORES = {"slots": [{"slot": 0, "note": "</script><b>"}], "schemes": [{"scheme": "august", "mpe_m": 0.1, "mde": None}]}
+
+
+def write(path, track, scores=SCORES, title="made up"):
+    report.write_report(path, track, scores, title=title, lead="lead", note="note", setup=[("seed", "1")],
+                        following=[("august demo", "again")], permittivity=(1.5, 5.0), conductivity=(1e-3, 1e-2))
+    return path.read_text()
+
+
+def payload(page):
+    return json.loads(re.search(r'<script type="application/json" id="payload">(.*?)</script>', page, re.S)[1])
+
+
+def test_clouds_come_back_from_the_page(tmp_path):
+    track = made_up_track(1)
+    slot = payload(write(tmp_path / "report.html", track))["slots"][0]
+    for name, points in (("true_points", track.truth[0]), ("points", track.points[0])):
+        steps = np.frombuffer(base64.b64decode(slot[name]), "<i2").reshape(-1, 3)
+        # rounding to the nearest step, and float64 truth
+        np.testing.assert_allclose(steps * report.QUANTUM_M + track.position[0], points, atol=0.51 * report.QUANTUM_M)
+    levels = np.frombuffer(base64.b64decode(slot["point_permittivity"]), np.uint8)
+    np.testing.assert_allclose(1.5 + 3.5 * levels / 255, np.clip(track.point_permittivity[0], 1.5, 5.0),
+                               atol=0.51 * 3.5 / 255)
+
+
+def test_page_needs_nothing_from_elsewhere(tmp_path):
+    page = write(tmp_path / "report.html", made_up_track(1))
+    assert not re.search(r'(src|href)\s*=|https?://|@import|url\(|fetch\(|XMLHttpRequest', page)
+
+
+def test_text_cannot_break_out_of_the_payload(tmp_path):
+    page = write(tmp_path / "report.html", made_up_track(1), title="<img> </script> of my drone")
+    assert payload(page)["title"] == "<img> </script> of my drone"
+    assert payload(page)["slots"][0]["note"] == "</script><b>"
+    assert page.count("</script>") == 2
+
+
+def test_fifty_slots_of_a_thousand_points_stay_small(tmp_path):
+    scores = {"slots": [{"slot": slot} for slot in range(50)], "schemes": []}
+    assert len(write(tmp_path / "report.html", made_up_track(50, 1000), scores)) < 1.5e6

@@ -1,0 +1,95 @@
+"""The region's subspace: an orthonormal basis that holds the waves of near targets, and a projection that inverts."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from august_jax.physics.array import PlanarArray
+from august_jax.signal import roi
+
+BOXES = {"paper": ((10, 30), (10, 30), (10, 20)), "near": ((3, 7), (4, 8), (2, 5))}
+
+
+@pytest.mark.parametrize("shape", [(16, 4), (16, 1), (4, 2), (16, 16), (1, 1)])
+def test_basis_is_orthonormal(shape):
+    basis = roi.legendre_basis(*shape)
+    assert basis.shape == (shape[0] * shape[1], roi.default_count(*shape))
+    np.testing.assert_allclose(basis.T @ basis, np.eye(basis.shape[1]), atol=1e-6)  # stored as float32
+
+
+def test_basis_starts_with_constant_and_slopes():
+    basis = roi.legendre_basis(16, 4, degrees=[(0, 0), (1, 0), (0, 1)]).reshape(16, 4, 3)
+    assert np.ptp(basis[..., 0]) < 1e-6
+    np.testing.assert_allclose(np.diff(basis[..., 1], axis=0), basis[1, 0, 1] - basis[0, 0, 1], atol=1e-6)
+    np.testing.assert_allclose(np.ptp(basis[..., 2], axis=0), 0.0, atol=1e-6)  # no change along x
+
+
+@pytest.mark.parametrize(("box", "shape", "lost"), [
+    ("paper", (16, 4), 1e-8), ("near", (16, 4), 1e-4), ("near", (16, 16), 1e-4), ("paper", (16, 1), 1e-8),
+])
+def test_default_basis_keeps_the_waves_of_near_points(box, shape, lost):
+    """Mean energy of g g^T outside the subspace, for points up to 0.5 m off along each axis."""
+    array = PlanarArray(*shape, 3e9)
+    basis = np.linalg.qr(roi.legendre_basis(*shape).astype(float))[0]
+    rng = np.random.default_rng(0)
+
+    def wave(point):
+        return np.exp(1j * array.wavenumber * np.linalg.norm(point - array.positions, axis=-1))
+
+    losses = []
+    for _ in range(100):
+        predicted = np.array([rng.uniform(*span) for span in BOXES[box]])
+        inside = basis.T @ (wave(predicted + rng.uniform(-0.5, 0.5, 3)) * wave(predicted).conj())
+        losses.append(1.0 - (np.sum(np.abs(inside) ** 2) / array.count) ** 2)
+    assert np.mean(losses) < lost
+
+
+def test_phases_take_out_the_wave_of_the_prediction():
+    """At q itself the channel g g^T becomes a constant: one coefficient, of modulus N_b."""
+    array = PlanarArray(16, 4, 3e9)
+    point = np.array([12.0, 20.0, 11.0])
+    wave = np.exp(1j * array.wavenumber * np.linalg.norm(point - array.positions, axis=-1))
+    channel = jnp.asarray(np.outer(wave, wave), jnp.complex64)
+    coefficients = roi.project(channel, jnp.asarray(point, jnp.float32), array.positions, array.wavenumber,
+                               roi.legendre_basis(16, 4))
+    energy = np.abs(coefficients) ** 2
+    np.testing.assert_allclose(energy[0, 0], 64.0**2, rtol=1e-4)
+    assert energy.sum() - energy[0, 0] < 1e-4 * energy[0, 0]  # (float32 phase error)^2 is far below
+
+
+def test_lift_undoes_project_and_keeps_symmetry():
+    array = PlanarArray(8, 4, 3e9)
+    basis = roi.legendre_basis(8, 4, 10)
+    point = jnp.array([5.0, 6.0, 3.0])
+    draw = jax.random.normal(jax.random.key(0), (10, 10), jnp.complex64)
+    coefficients = draw + draw.T
+    place = (point, array.positions, array.wavenumber, basis)
+    channel = roi.lift(coefficients, *place)
+    np.testing.assert_allclose(channel, channel.T, atol=1e-5)
+    np.testing.assert_allclose(roi.project(channel, *place), coefficients, atol=1e-5)
+    # An orthogonal projection keeps the energy.
+    np.testing.assert_allclose(jnp.sum(jnp.abs(channel) ** 2), jnp.sum(jnp.abs(coefficients) ** 2), rtol=1e-5)
+
+
+def test_path_differences_keep_their_digits_far_away():
+    """The plain difference of two float32 distances of 3 km is wrong by millimetres, a tenth of a radian."""
+    array = PlanarArray(16, 4, 3e9)
+    point = np.array([2000.0, 2000.0, 1000.0])
+    exact = np.linalg.norm(point - array.positions, axis=-1) - np.linalg.norm(point)
+    got = roi.path_differences(jnp.asarray(array.positions, jnp.float32), jnp.asarray(point, jnp.float32))
+    np.testing.assert_allclose(got, exact, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: roi.legendre_basis(4, 2, 9), "9 functions for 8"),
+        (lambda: roi.legendre_basis(4, 2, 0), "0 functions"),
+        (lambda: roi.legendre_basis(4, 2, degrees=[(4, 0)]), r"\(4, 0\)"),
+        (lambda: roi.legendre_basis(0, 2), "0 x 2"),
+    ],
+)
+def test_bad_input_is_named(call, words):
+    with pytest.raises(ValueError, match=words):
+        call()
