@@ -13,6 +13,7 @@ import argparse
 import dataclasses
 import difflib
 import json
+import os
 import re
 import sys
 import textwrap
@@ -56,6 +57,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit status."""
     argv = list(sys.argv[1:] if argv is None else argv)
     debug = "--debug" in argv
+    if not debug:
+        os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")  # XLA's remarks on its own compile times
     try:
         args = _parse(argv)
         if args is None:
@@ -307,9 +310,9 @@ def _reconstruct(args: argparse.Namespace) -> dict[str, Any]:
     from august_jax.scene import load_airframe
 
     started = time.monotonic()
-    networks, config = _weights(args, args.run)
     airframe = load_airframe(args.mesh, unit=args.unit, up=args.up, forward=args.forward,
                              half_wheelbase_m=args.half_wheelbase)
+    networks, config = _weights(args, args.run)
     shot = pipeline.pose(config, airframe, position=args.position, yaw_deg=args.yaw, pitch_deg=args.pitch,
                          roll_deg=args.roll, permittivity=args.permittivity, conductivity=args.conductivity)
     _note(f"{airframe.name}: half-wheelbase {airframe.half_wheelbase_m:.3f} m, at "
@@ -402,13 +405,16 @@ def _train(args: argparse.Namespace) -> dict[str, Any]:
     folder = Path(args.data or f"august_data/{asked.preset}")
     from august_jax.data import Dataset, TrainingBatches
     from august_jax.evaluation import validator
+    from august_jax.plotting import training_curves
     from august_jax.training.loop import train
 
     dataset = Dataset(folder)
     config = _training_config(args, dataset.config, folder)
+    batches = TrainingBatches(dataset, config)
     out = Path(args.out or f"august_runs/{config.preset}")
     _note(f"{len(dataset.rows('train'))} of {dataset.count} samples are for training, {config.train.steps} steps")
-    state = train(config, TrainingBatches(dataset, config), out, validate=validator(dataset, config), printer=_note)
+    state = train(config, batches, out, validate=validator(dataset, config), draw=training_curves,
+                  printer=_note)
     last = json.loads((out / "metrics.jsonl").read_text().splitlines()[-1])
     _say(args, f"trained to step {int(state.step)}: " + "  ".join(f"{name} {value:.4g}" for name, value in last.items()
                                                                   if name not in ("step", "seconds_left")))

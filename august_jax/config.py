@@ -168,6 +168,10 @@ class TrainConfig:
     weight_position: float = 0.9
     weight_material: float = 0.1
     weight_latent: float = 1e-4
+    weight_readout: float = 0.0
+    """Weight of a linear reading of the cloud's mean from the latent; not in the paper, 0 leaves it out."""
+    ema: float = 0.999
+    """Decay of the parameters' moving average, which is what is evaluated."""
     seed: int = 0
     reobserve: bool = False
     """True: every step draws a new prediction, SNR, pilots and noise for the stored channels."""
@@ -224,7 +228,8 @@ def preset(name: str) -> Config:
             encoder="roi", latent=64, flow_layers=6, flow_features=64, fourier=4,
             denoiser=(64, 128, 256, 256, 128, 64), time_embedding="log_snr",
         ),
-        train=TrainConfig(steps=12_000, batch=512, points=32, learning_rate=(1e-3, 1e-5), reobserve=True),
+        train=TrainConfig(steps=12_000, batch=512, points=32, learning_rate=(1e-3, 1e-5), reobserve=True,
+                          weight_readout=1.0),
     )
     smoke = replace(
         laptop,

@@ -24,10 +24,13 @@ import numpy as np
 
 from august_jax import metrics
 from august_jax.config import Config
-from august_jax.data import Dataset, as_stored, generate, observed_anew, prepare_targets
+from august_jax.data import Dataset, Target, as_stored, generate, observed_anew, prepare_targets
 from august_jax.models import reconstruct
+from august_jax.physics import PlanarArray, fisher_information, mean_position_error
+from august_jax.physics.information import Prior
 from august_jax.pipeline import Networks, Track, rotor_plane_normal
 from august_jax.scene import Airframe, resolve_airframe, rotation_from_euler, transform
+from august_jax.signal.beams import direction_angles, roi_codebook
 
 ABOUT = {
     "august": "the networks",
@@ -46,6 +49,8 @@ NOTE = (
 
 _FRESH = 2**30
 """Added to the seed of an evaluation, so that no seed of a training set gives the same samples."""
+_BOUNDED = 100
+"""Samples over which the bound is averaged."""
 _PIECE = 50
 """Clouds reconstructed together."""
 
@@ -55,6 +60,9 @@ def evaluate(networks: Networks, config: Config, *, seed: int,
     """Rows of accuracy on freshly simulated samples, ``config.evaluate.count`` of them, each from its own flight.
 
     All SNRs share the samples, their predictions and the draws of the noise, so that only the SNR makes a difference.
+
+    ``bound_m`` is the mean position error that the Fisher information of the first 100 samples leaves to any unbiased
+    estimator that knows the airframe but not the complex gain (:mod:`august_jax.physics.information`).
 
     Returns:
         For each SNR and scheme a row ``scheme``, ``snr_db``, ``mpe_m`` [m], ``mde``, ``wd_db``, ``mcd_db`` [dB re
@@ -72,6 +80,8 @@ def evaluate(networks: Networks, config: Config, *, seed: int,
     mean = mean_shape(shape_key, airframes, config.target.points)
     truth = {"position": samples["position"], "normal": samples["rotation"][:, :, 2],
              "cloud": samples["points"] + samples["position"][:, None]}
+    progress("bounding what any estimator could do")
+    information = unit_information(samples, targets, config)
     rows, others = [], None
     for snr_db in config.evaluate.snr_db:
         batch = observed_anew(seen_key, samples, config, snr_db)
@@ -88,10 +98,45 @@ def evaluate(networks: Networks, config: Config, *, seed: int,
         if others is None:
             others = baselines(batch["predicted"], mean, again, normal_key)
         scored = {"august": answer, **others}
-        rows += [{"scheme": scheme, "snr_db": snr_db, **score(each, truth), "count": count, "bound_m": None}
+        bound = None
+        if information is not None:
+            bound = float(np.mean(mean_position_error(10.0 ** (snr_db / 10.0) * information, _prior(config))))
+        rows += [{"scheme": scheme, "snr_db": snr_db, **score(each, truth), "count": count, "bound_m": bound}
                  for scheme, each in scored.items()]
         progress(f"SNR {snr_db:g} dB: MPE {rows[-len(scored)]['mpe_m']:.3f} m")
     return rows
+
+
+def unit_information(samples: Mapping[str, np.ndarray], targets: Sequence[Target], config: Config) -> np.ndarray | None:
+    """Fisher information (n, 10, 10) of the first samples at an SNR of 1, pilots of the RoI about q_pre; it grows in
+    proportion to the SNR. None where the data's solver is not the one whose channel can be differentiated here."""
+    if any(target.body is None for target in targets):
+        return None
+    array = PlanarArray(config.array.nx, config.array.nz, config.array.frequency_hz)
+    widths = tuple(np.deg2rad(config.signal.beam_width_deg))
+    found = []
+    for kind, target in enumerate(targets):
+        mine = np.flatnonzero(samples["airframe"][:_BOUNDED] == kind)
+        if len(mine):
+            books = [roi_codebook(array.nx, array.nz, direction_angles(jnp.asarray(place)), widths,
+                                  mirror=config.signal.mirror_beams) for place in samples["predicted"][mine]]
+            lit = np.stack([np.asarray(book @ book.conj().T) for book in books])
+            found.append(fisher_information(
+                target.body, array, samples["rotation"][mine], samples["position"][mine],
+                samples["permittivity"][mine], samples["conductivity"][mine], 1.0, illumination=lit))
+    return np.concatenate(found)
+
+
+def _prior(config: Config) -> Prior:
+    """What is known before the echo: the prediction's threshold and the ranges of tilt and material."""
+    def uniform(low, high):
+        return max(high - low, 1e-6 * max(abs(high), 1e-9)) / np.sqrt(12.0)
+
+    return Prior(
+        position_m=max(uniform(-config.region.threshold_m, config.region.threshold_m), 1e-6),
+        turn_rad=uniform(*np.deg2rad([-config.flight.tilt_deg, config.flight.tilt_deg])),
+        permittivity=uniform(*config.target.permittivity), conductivity=uniform(*config.target.conductivity_s_m),
+    )
 
 
 def score(answer: Mapping[str, Any], truth: Mapping[str, Any]) -> dict[str, float | None]:

@@ -28,6 +28,8 @@ from august_jax.tracking import kalman_predict, kalman_start, kalman_update, pla
 SHIPPED = Path(__file__).parent / "weights" / "laptop"
 """Weights that come with the package."""
 
+_DENSE_POSES = 40
+
 SIZE_RATIO = (0.8, 1.25)
 """A drone's half-wheelbase may be this many times that of the weights."""
 
@@ -208,7 +210,8 @@ def channels_along(airframe: Airframe, config: Config, rotations, positions, per
     """True channels of one craft in T poses (T, F, N_b, N_b) complex64, by ``config.data.solver``.
 
     Args:
-        airframe: the craft; ``mom`` factors its body first, about 20 s for 1000 cells, and then finds it in the cache.
+        airframe: the craft. For ``mom`` and more than 40 poses its body is factored first, a minute or two for 1000
+            cells, and kept in a cache; for fewer poses the dense solve of each is quicker, a second or two.
         config: array, lattice, solver, and the box that bounds how near the craft comes.
         rotations, positions: body to world (T, 3, 3), surface centroids (T, 3) [m].
         permittivity, conductivity: the material, [1] and [S/m].
@@ -218,11 +221,13 @@ def channels_along(airframe: Airframe, config: Config, rotations, positions, per
     cell_m = airframe.cell_size_for(target.max_cells, target.cell_m, target.skin_m)
     cells = airframe.cells(cell_m, target.skin_m)
     chi = contrast(permittivity, conductivity, jnp.asarray(tones, jnp.float32)).astype(jnp.complex64)
-    if config.data.solver == "mom":
+    if config.data.solver == "mom" and len(positions) > _DENSE_POSES:
         body = factor_body(cells, tones, nearest_m=nearest_distance(config))
 
         def channel(rotation, position):
             return body_channel(body, array, rotation, position, chi)
+
+        many = jax.vmap(channel)
     else:
         single = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), cells)
 
@@ -230,7 +235,11 @@ def channels_along(airframe: Airframe, config: Config, rotations, positions, per
             return sensing_channel(array, single.moved(rotation, position), chi[:, None], solver=config.data.solver,
                                    frequencies_hz=tones)
 
-    return jax.jit(jax.vmap(channel))(jnp.asarray(rotations, jnp.float32), jnp.asarray(positions, jnp.float32))
+        def many(rotations, positions):
+            # One after the other: a dense solve holds matrices of hundreds of megabytes.
+            return jax.lax.map(lambda pose: channel(*pose), (rotations, positions))
+
+    return jax.jit(many)(jnp.asarray(rotations, jnp.float32), jnp.asarray(positions, jnp.float32))
 
 
 def sense(networks: Networks, config: Config, scenario: Scenario, *, seed: int, snr_db: float,

@@ -43,31 +43,28 @@ def networks(settings):
     return graphdef, jax.tree.map(lambda leaf: leaf + 0.1 * generator.normal(size=leaf.shape).astype("f"), state)
 
 
-SCHEMES = [("august", "roi"), ("august", "paper"), ("noebd", "roi"), ("nolatent", "roi"), ("refchannel", "roi"),
-           ("refchannel", "paper")]
+SCHEMES = [("august", "roi"), ("noebd", "paper"), ("nolatent", "roi"), ("refchannel", "paper")]
 
 
 @pytest.mark.parametrize("scheme, encoder", SCHEMES)
 def test_the_loss_is_the_weighted_sum_and_reaches_every_parameter(scheme, encoder):
     settings = config(scheme, encoder)
     graphdef, state = networks(settings)
-    train = replace(settings.train, weight_latent=0.01)
-    if hasattr(train, "weight_readout"):
-        train = replace(train, weight_readout=0.5)
+    train = replace(settings.train, weight_latent=0.01, weight_readout=0.5)
 
     @jax.jit
     def step(state):
         return jax.value_and_grad(
-            lambda state: nnx.merge(graphdef, state).loss(jax.random.key(0), batch(), train), has_aux=True)(state)
+            lambda state: nnx.merge(graphdef, state).loss(jax.random.key(0, impl="rbg"), batch(), train), has_aux=True)(state)
 
     (loss, terms), gradient = step(state)
     extra = {"august": {"latent"}, "noebd": {"latent"}, "refchannel": {"reference"}}.get(scheme, set())
     assert set(terms) == {"position", "material", "readout"} | extra
     expected = 0.9 * terms["position"] + 0.1 * terms["material"] + 0.01 * terms.get("latent", 0.0)
-    expected += terms.get("reference", 0.0) + getattr(train, "weight_readout", 0.0) * terms["readout"]
+    expected += terms.get("reference", 0.0) + 0.5 * terms["readout"]
     np.testing.assert_allclose(loss, expected, rtol=1e-5)
     silent = [jax.tree_util.keystr(path) for path, leaf in jax.tree_util.tree_leaves_with_path(gradient)
-              if not np.abs(leaf).max() > 0 and ("readout" not in str(path) or hasattr(train, "weight_readout"))]
+              if not np.abs(leaf).max() > 0]
     assert not silent
 
 
@@ -77,7 +74,7 @@ def test_an_untrained_denoiser_scores_the_noise_itself():
     graphdef, state = create(settings, 0)
     data = batch()
     big = {name: np.repeat(array, 200, axis=0) for name, array in data.items()}
-    _, terms = jax.jit(lambda state: nnx.merge(graphdef, state).loss(jax.random.key(0), big, settings.train))(state)
+    _, terms = jax.jit(lambda state: nnx.merge(graphdef, state).loss(jax.random.key(0, impl="rbg"), big, settings.train))(state)
     # five standard errors: variance 6 and 4 of a chi-squared over 800 * 8 points
     np.testing.assert_allclose(terms["position"], 3.0, atol=0.16)
     np.testing.assert_allclose(terms["material"], 2.0, atol=0.13)
@@ -88,10 +85,10 @@ def test_the_latent_term_is_the_relative_entropy():
     settings = config()
     graphdef, state = create(settings, 0)
     model, data = nnx.merge(graphdef, state), batch()
-    mean, log_variance = model.posterior(data["channel"], data["predicted"], data["snr_db"])
+    mean, log_variance = jax.jit(model.posterior)(data["channel"], data["predicted"], data["snr_db"])
     exact = 0.5 * np.sum(np.exp(log_variance) + np.square(mean) - 1.0 - log_variance, axis=-1).mean()
     terms = jax.jit(jax.vmap(lambda key: model.loss(key, data, settings.train)[1]["latent"]))(
-        jax.random.split(jax.random.key(0), 400))
+        jax.random.split(jax.random.key(0, impl="rbg"), 400))
     np.testing.assert_allclose(np.mean(terms), exact, atol=5 * np.std(terms) / np.sqrt(400))
 
 
@@ -99,17 +96,19 @@ def test_the_condition_is_the_posterior_s_mean_or_a_sample_of_it():
     graphdef, state = networks(config())
     model, data = nnx.merge(graphdef, state), batch()
     inputs = data["channel"], data["predicted"], data["snr_db"]
-    mean, log_variance = model.posterior(*inputs)
-    np.testing.assert_array_equal(model.condition(*inputs), mean)
-    samples = jax.jit(jax.vmap(lambda key: model.condition(*inputs, key)))(jax.random.split(jax.random.key(0), 2000))
+    keys = jax.random.split(jax.random.key(0), 2000)
+    (mean, log_variance), condition, samples, read = jax.jit(lambda: (
+        model.posterior(*inputs), model.condition(*inputs), jax.vmap(lambda key: model.condition(*inputs, key))(keys),
+        model.readout(*inputs)))()
+    np.testing.assert_array_equal(condition, mean)
     np.testing.assert_allclose(samples.std(0), np.exp(0.5 * log_variance), rtol=0.1)
     np.testing.assert_allclose(samples.mean(0), mean, atol=5 * np.exp(0.5 * log_variance).max() / np.sqrt(2000))
-    assert model.readout(*inputs).shape == (BATCH, 5)
+    kernel, bias = model.readout_head.kernel[...], model.readout_head.bias[...]
+    np.testing.assert_allclose(read, mean @ kernel + bias, rtol=1e-3, atol=1e-4)
 
 
-@pytest.mark.parametrize("scheme", ["august", "nolatent", "refchannel"])
-def test_reconstruction_is_a_function_of_its_key(scheme):
-    graphdef, state = networks(config(scheme))
+def test_reconstruction_is_a_function_of_its_key():
+    graphdef, state = networks(config())
     data = batch()
     inputs = data["channel"], data["predicted"], data["snr_db"]
 
@@ -120,7 +119,6 @@ def test_reconstruction_is_a_function_of_its_key(scheme):
     assert one.shape == (BATCH, 9, 5) and np.isfinite(one).all()
     np.testing.assert_array_equal(one, clouds(0, steps=4))
     assert np.abs(one - clouds(1, steps=4)).max() > 0.1
-    assert clouds(0, sampler="ancestral").shape == (BATCH, 9, 5)
     with pytest.raises(ValueError, match="sampler: unknown sampler 'euler'; choose dpm or ancestral"):
         clouds(0, sampler="euler")
     with pytest.raises(ValueError, match="sampler_steps: 11 .*2..10"):
@@ -130,9 +128,11 @@ def test_reconstruction_is_a_function_of_its_key(scheme):
 def test_the_path_of_a_reconstruction():
     graphdef, state = networks(config())
     data = batch()
-    path = nnx.merge(graphdef, state).denoising(jax.random.key(0), data["channel"], data["predicted"], data["snr_db"],
-                                                7, after=(0, 4, 10))
+    inputs = data["channel"], data["predicted"], data["snr_db"]
+    path = jax.jit(lambda state: nnx.merge(graphdef, state).denoising(jax.random.key(0), *inputs, 7, after=(0, 4, 10)))(
+        state)
     assert path.shape == (3, BATCH, 7, 5)
+    assert np.isfinite(path).all() and np.abs(np.diff(path, axis=0)).max() > 0.1
 
 
 def test_the_reference_channel_is_centred_on_the_box():

@@ -14,7 +14,7 @@ reparameterised sample z = mu + sigma * xi, summed over the latent's dimensions:
 it.) diag(sigma^2) is the posterior's covariance. At inference the condition is the posterior mean, unless a sample is
 asked for: the mean spares the estimate the posterior's spread, and training saw codes all around it.
 
-An optional term trains a linear readout of the posterior mean to the cloud's own mean (offset and material). It shapes
+An optional term trains a linear readout of the posterior mean to the cloud's moments (:func:`moments`). It shapes
 the latent early, when the diffusion's gradient is mostly noise, and reads a position without sampling a cloud.
 
 Schemes (`config.model.scheme`): ``august``; ``noebd`` without the embeddings of position and SNR (with the ``roi``
@@ -42,6 +42,7 @@ from august_jax.models.refchannel import RefChannel
 
 _LOG_VARIANCE_LIMIT = 12.0
 _LOG_VARIANCE_START = -4.0
+_PAIRS = np.triu_indices(3)
 
 
 class August(nnx.Module):
@@ -66,7 +67,7 @@ class August(nnx.Module):
             self.variance_head = MLP(model.encoder_features, model.encoder_features, model.latent, rngs=rngs)
             self.prior = RealNVP(model.latent, model.flow_layers, model.flow_features, rngs=rngs)
         self.denoiser = Denoiser(model.denoiser, condition, self.schedule, model.time_embedding, rngs=rngs)
-        self.readout_head = dense(condition, 5, rngs=rngs)
+        self.readout_head = dense(condition, 5 + len(_PAIRS[0]), rngs=rngs)
 
     @property
     def has_latent(self) -> bool:
@@ -101,7 +102,7 @@ class August(nnx.Module):
         return mean if key is None else _sample(key, mean, log_variance)
 
     def readout(self, channel: jax.Array, predicted: jax.Array, snr_db: jax.Array) -> jax.Array:
-        """Linear reading (B, 5) of the condition: the mean of the cloud, in its own units.
+        """Linear reading of the condition (B, 11): what :func:`moments` says of the cloud.
 
         It means something only where ``train.weight_readout`` was positive.
         """
@@ -147,10 +148,10 @@ class August(nnx.Module):
         error = (noise - self.denoiser(noisy, step, condition)) ** 2
         terms["position"] = jnp.mean(jnp.sum(error[..., :3], axis=-1))
         terms["material"] = jnp.mean(jnp.sum(error[..., 3:], axis=-1))
-        terms["readout"] = jnp.mean(jnp.sum((self.readout_head(read) - jnp.mean(cloud, axis=1)) ** 2, axis=-1))
+        terms["readout"] = jnp.mean(jnp.sum((self.readout_head(read) - moments(cloud)) ** 2, axis=-1))
         weights = {
             "position": train.weight_position, "material": train.weight_material, "latent": train.weight_latent,
-            "reference": 1.0, "readout": getattr(train, "weight_readout", 0.0),
+            "reference": 1.0, "readout": train.weight_readout,
         }
         return sum(weights[name] * term for name, term in terms.items()), terms
 
@@ -212,6 +213,18 @@ def reconstruct(graphdef: nnx.GraphDef, state: nnx.State, key: jax.Array, channe
     model = nnx.merge(graphdef, state)
     return model.reconstruct(key, channel, predicted, snr_db, count, sampler=sampler, steps=steps,
                              sample_latent=sample_latent)
+
+
+def moments(cloud: jax.Array) -> jax.Array:
+    """What the readout is trained to (..., 11), of clouds (..., M, 5) in their own units.
+
+    The mean of the five numbers, and ten times the covariances xx, xy, xz, yy, yz, zz of the three coordinates: of a
+    flat craft these hold the attitude; the factor brings them to the size of the means.
+    """
+    mean = jnp.mean(cloud, axis=-2)
+    centred = cloud[..., :3] - mean[..., None, :3]
+    covariance = jnp.mean(centred[..., _PAIRS[0]] * centred[..., _PAIRS[1]], axis=-2)
+    return jnp.concatenate([mean, 10.0 * covariance], axis=-1)
 
 
 def parameter_count(state: nnx.State) -> int:

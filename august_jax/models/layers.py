@@ -19,10 +19,10 @@ def dense(features_in: int, features_out: int, *, rngs: nnx.Rngs, gain: float = 
 
     def weights(key, shape, dtype):
         draw = np.random.default_rng(np.asarray(jax.random.key_data(key))).standard_normal(shape)
-        return jnp.asarray(draw * math.sqrt(gain / features_in), dtype)
+        return jnp.asarray((draw * math.sqrt(gain / features_in)).astype(dtype))
 
     def zeros(_, shape, dtype):
-        return jnp.asarray(np.zeros(shape), dtype)
+        return jnp.asarray(np.zeros(shape, dtype))
 
     return nnx.Linear(features_in, features_out, use_bias=bias, kernel_init=weights, bias_init=zeros, rngs=rngs)
 

@@ -4,12 +4,13 @@ from august_jax.physics.array import PlanarArray, wavenumber
 from august_jax.physics.cells import Cells
 from august_jax.physics.channel import SOLVERS, sensing_channel
 from august_jax.physics.green import coupling_matrix, dipole_fields, dyadic_green
+from august_jax.physics.information import fisher_information, mean_position_error, position_bound, tilt_bound
 from august_jax.physics.materials import contrast
 from august_jax.physics.mom import Solution, interaction_matrix, self_term, solve_dense
 from august_jax.physics.response import Body, body_channel, cache_folder, factor_body
 
 __all__ = [
     "SOLVERS", "Body", "Cells", "PlanarArray", "Solution", "body_channel", "cache_folder", "contrast",
-    "coupling_matrix", "dipole_fields", "dyadic_green", "factor_body", "interaction_matrix", "self_term",
-    "sensing_channel", "solve_dense", "wavenumber",
+    "coupling_matrix", "dipole_fields", "dyadic_green", "factor_body", "fisher_information", "interaction_matrix",
+    "mean_position_error", "position_bound", "self_term", "sensing_channel", "solve_dense", "tilt_bound", "wavenumber",
 ]

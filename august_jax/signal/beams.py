@@ -90,8 +90,8 @@ def pilot_symbols(key: jax.Array, count: int, symbols: int, kind: str = "unitary
         key: random key.
         count: streams N_b.
         symbols: L.
-        kind: ``unitary``: ``count`` rows of the L-point DFT matrix, shuffled, each symbol turned by a random phase, so
-            that S S^H = L I exactly (needs L >= N_b); ``gaussian``: independent circular Gaussian entries.
+        kind: ``unitary``: ``count`` rows of the L-point DFT matrix, every row and every column turned by a random
+            phase, so that S S^H = L I exactly (needs L >= N_b); ``gaussian``: independent circular Gaussian entries.
 
     Returns:
         S (count, symbols) complex64.
@@ -99,14 +99,14 @@ def pilot_symbols(key: jax.Array, count: int, symbols: int, kind: str = "unitary
     if kind not in PILOTS:
         raise ValueError(f"kind: unknown pilots {kind!r}; choose one of {', '.join(PILOTS)}")
     if kind == "gaussian":
-        return jax.random.normal(key, (count, symbols), jnp.complex64)
+        parts = jax.random.normal(key, (2, count, symbols), jnp.float32)
+        return jax.lax.complex(parts[0], parts[1]) * np.float32(np.sqrt(0.5))
     if symbols < count:
         raise ValueError(f"symbols: {symbols} symbols cannot be orthogonal over {count} streams; give at least {count}")
-    key_rows, key_phases = jax.random.split(key)
-    turns = np.outer(np.arange(symbols), np.arange(symbols)) % symbols / symbols
-    rows = jax.random.permutation(key_rows, symbols)[:count]
-    phases = jax.random.uniform(key_phases, (symbols,), maxval=2.0 * np.pi)
-    return jnp.asarray(np.exp(2j * np.pi * turns), jnp.complex64)[rows] * jnp.exp(1j * phases)
+    dft = 2.0 * np.pi * (np.arange(count)[:, None] * np.arange(symbols) % symbols) / symbols
+    turns = 2.0 * np.pi * jax.random.uniform(key, (count + symbols,))
+    phase = dft.astype(np.float32) + turns[:count, None] + turns[count:]
+    return jax.lax.complex(jnp.cos(phase), jnp.sin(phase))
 
 
 def pilots(codebook: jax.Array, symbols: jax.Array, power_w) -> jax.Array:

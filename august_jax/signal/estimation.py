@@ -113,7 +113,7 @@ def echo(key: jax.Array, channel: jax.Array, pilots: jax.Array, noise_w) -> tupl
         Y (N_b, L) [sqrt(W)] and the realised SNR ||H X||^2/||N||^2 (linear).
     """
     clean = channel @ pilots
-    noise = jnp.sqrt(noise_w) * jax.random.normal(key, clean.shape, clean.dtype)
+    noise = jnp.sqrt(noise_w) * _white_noise(key, clean.shape)
     return clean + noise, energy(clean) / energy(noise)
 
 
@@ -296,7 +296,7 @@ def observe(
     # In units of the noise: echoes of 1e-15 W have squares that float32 cannot hold.
     sent = sent * jnp.sqrt(power_w / noise_w)
     clean = channel @ sent
-    noise = jax.random.normal(key_noise, clean.shape, clean.dtype)
+    noise = _white_noise(key_noise, clean.shape)
     estimates = jax.vmap(lambda each: estimate(signal.estimator, each, sent, noise_w=1.0))(clean + noise)
     snr = jnp.sum(energy(clean)) / jnp.sum(energy(noise))
     return Observation(estimates.channel, 10.0 * jnp.log10(snr), beams.watt_to_dbm(power_w), estimates.rank)
@@ -331,7 +331,6 @@ def observe_roi(
     tones, count = channel.shape[0], array.count
     noise_w = beams.dbm_to_watt(signal.noise_dbm)
     symbols = signal.symbols or count
-    key_pilots, key_noise, key_rest = jax.random.split(key, 3)
     factors = beams.codebook_factors(array.nx, array.nz, beams.direction_angles(predicted), _radians(signal),
                                      mirror=signal.mirror_beams)
     sent = jax.vmap(lambda k: _reduced_beams(predicted, planar, k, basis, factors))(wavenumbers)
@@ -339,6 +338,7 @@ def observe_roi(
         # X X^H = (P_s/F)(L/N_b) W W^H whatever S is, because ||W S||^2 = L ||W||^2 = L N_b.
         sent = sent * np.sqrt(symbols / (count * tones))
     else:
+        key, key_pilots = jax.random.split(key)
         drawn = beams.pilot_symbols(key_pilots, count, symbols, signal.pilots)
         codebook = beams.roi_codebook(array.nx, array.nz, beams.direction_angles(predicted), _radians(signal),
                                       mirror=signal.mirror_beams)
@@ -350,9 +350,12 @@ def observe_roi(
     else:
         power_w = beams.dbm_to_watt(power_dbm)
     amplitude = jnp.sqrt(power_w / noise_w)
-    noise = jax.random.normal(key_noise, clean.shape, clean.dtype)
-    rest = entries - noise.size
-    noise_energy = jnp.sum(energy(noise)) + jnp.maximum(rest + np.sqrt(rest) * jax.random.normal(key_rest), 0.0)
+    # One draw for everything: each call of the generator costs a second of compilation.
+    draws = jax.random.normal(key, (2 * clean.size + 1,))
+    parts = np.sqrt(0.5) * draws[:-1].reshape(2, *clean.shape)
+    noise = jax.lax.complex(parts[0], parts[1])
+    rest = entries - clean.size
+    noise_energy = jnp.sum(parts**2) + jnp.maximum(rest + np.sqrt(rest) * draws[-1], 0.0)
     coefficients = jax.vmap(
         lambda seen, pilots, k: roi_coefficients(
             seen, pilots, Region(predicted, region.scale_m, planar.positions, k, basis)
@@ -394,6 +397,12 @@ def _box_nodes() -> tuple[np.ndarray, np.ndarray]:
     nodes = np.stack(np.meshgrid(places, places, places, indexing="ij"), axis=-1).reshape(-1, 3)
     products = np.einsum("i,j,k->ijk", weights, weights, weights).reshape(-1) / 8.0
     return nodes, products
+
+
+def _white_noise(key: jax.Array, shape: tuple[int, ...]) -> jax.Array:
+    """Circular Gaussian entries of unit power, complex64."""
+    parts = np.float32(np.sqrt(0.5)) * jax.random.normal(key, (2, *shape), jnp.float32)
+    return jax.lax.complex(parts[0], parts[1])
 
 
 def _symmetrise(channel: jax.Array) -> jax.Array:

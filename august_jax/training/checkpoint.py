@@ -8,6 +8,7 @@ removes; finished checkpoints are never touched by a save in progress.
 from __future__ import annotations
 
 import os
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -108,9 +109,12 @@ def load_weights(path: str | os.PathLike, config: Config) -> tuple[nnx.GraphDef,
     graphdef, state = create(config, 0)
     wanted = flatten(state)
     try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-    except (OSError, ValueError, EOFError, AttributeError) as error:
+        with Path(path).open("rb") as file, zipfile.ZipFile(file) as members:
+            arrays = {}
+            for name in members.namelist():
+                with members.open(name) as member:
+                    arrays[name.removesuffix(".npy")] = np.lib.format.read_array(member, allow_pickle=False)
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
         raise ValueError(f"path: {path} is not a readable .npz file of weights ({error})") from error
     compare({name: leaf.shape for name, leaf in arrays.items()}, wanted, path)
     leaves = [jnp.asarray(arrays[name], leaf.dtype) for name, leaf in wanted.items()]

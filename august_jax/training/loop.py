@@ -66,14 +66,13 @@ def train(config: Config, next_batch: NextBatch, out_dir: str | os.PathLike, *, 
         (out / "config.yaml").write_text(configuration.to_yaml(config), encoding="utf-8")
         metrics = out / "metrics.jsonl"
         _forget_after(metrics, start)
-        step_function = compiled_step(networks, train)
         waiting = pool.submit(next_batch, start) if start < train.steps else None
         reports, mark, began = [], time.perf_counter(), None
         for done in range(start + 1, train.steps + 1):
             batch = waiting.result()
             if done < train.steps:
                 waiting = pool.submit(next_batch, done)
-            state, report = step_function(state, batch)
+            state, report = compiled_step(networks, train, state, batch)
             reports.append(report)
             if began is None:
                 jax.block_until_ready(report)
@@ -89,7 +88,7 @@ def train(config: Config, next_batch: NextBatch, out_dir: str | os.PathLike, *, 
             line["seconds_left"] = (train.steps - done) * (now - began) / max(done - start - 1, 1)
             if saving:
                 checkpoints.save(state)
-                averaged = networks.unravel(state.ema)
+                averaged = networks.arrays(np.asarray(state.ema))
                 save_weights(out / "weights.npz", averaged)
                 if validate is not None:
                     line |= validate(networks.graphdef, averaged, done)

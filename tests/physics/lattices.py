@@ -6,12 +6,20 @@ from august_jax.physics import Cells
 
 
 def sphere(radius, across):
-    """A solid sphere of about across^3 pi/6 lattice cells, scaled so that the cells' volume is the sphere's."""
-    steps = (np.arange(across) - (across - 1) / 2.0) * (2.0 / across)
-    points = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), -1).reshape(-1, 3)
-    points = points[np.linalg.norm(points, axis=1) < 1.0]
-    edge = radius * (4.0 * np.pi / 3.0 / len(points)) ** (1.0 / 3.0)
-    return Cells(points / (2.0 / across) * edge, np.full(len(points), edge**3))
+    """A solid sphere on a lattice of 2 radius/across; cells that its surface cuts are partly filled.
+
+    Across a surface the field behaves as at a sheet: parallel mixing along it, series mixing across it.
+    """
+    edge = 2.0 * radius / across
+    steps = np.arange(-(across // 2) - 1, across // 2 + 2) * edge
+    centres = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), -1).reshape(-1, 3)
+    inner = ((np.arange(10) + 0.5) / 10 - 0.5) * edge
+    inside = np.stack(np.meshgrid(inner, inner, inner, indexing="ij"), -1).reshape(-1, 3)
+    fill = np.mean(np.linalg.norm(centres[:, None] + inside, axis=-1) < radius, axis=1)
+    centres, fill = centres[fill > 0.02], fill[fill > 0.02]
+    fill = np.minimum(fill * 4.0 * np.pi / 3.0 * radius**3 / (fill.sum() * edge**3), 1.0)
+    normals = centres / np.maximum(np.linalg.norm(centres, axis=1, keepdims=True), 1e-12)
+    return Cells(centres, np.full(len(centres), edge**3), fill, normals)
 
 
 def cross(arm=5, edge=0.012, fill=0.3):

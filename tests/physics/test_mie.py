@@ -1,7 +1,8 @@
 """The dielectric sphere: the coupled system against the Mie series.
 
-A plane wave along z, polarised along x, meets a sphere of lattice cells; its complex far field is compared with
-Mie's in both principal planes. Cells of the lattice meet the surface in steps, which is most of the error left.
+A plane wave along z, polarised along x, meets a sphere of lattice cells, partly filled where the surface cuts them; its
+complex far field is compared with Mie's in both principal planes. Measured at 509 cells: 0.03 and 0.2 % at ka 0.3, 0.7
+and 2.1 % at ka 1 (permittivity 2 and 4); whole cells with a stepped surface err two to nine times as much.
 """
 
 import jax
@@ -43,13 +44,13 @@ def far_field_error(permittivity, ka, across, matrix_of=interaction_matrix):
 @pytest.mark.parametrize(("permittivity", "ka", "ceiling"), [(2.0, 0.3, 0.01), (4.0, 0.3, 0.01), (2.0, 1.0, 0.04),
                                                             (4.0, 1.0, 0.04)])
 def test_sphere_of_some_500_cells(permittivity, ka, ceiling):
-    assert far_field_error(permittivity, ka, 10) < ceiling
+    assert far_field_error(permittivity, ka, 9) < ceiling
 
 
 def test_without_the_self_term_the_sphere_is_wrong():
     def bare(cells, k):
         matrix = interaction_matrix(cells, k)
-        own = self_term(jnp.asarray(cells.volumes), k)
+        own = cells.fill * self_term(jnp.asarray(cells.volumes), k)
         return matrix - jnp.diag(jnp.repeat(own, 3))
 
-    assert far_field_error(4.0, 0.3, 10, bare) > 0.2
+    assert far_field_error(4.0, 0.3, 9, bare) > 0.2

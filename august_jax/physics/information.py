@@ -1,0 +1,167 @@
+r"""How well a known body can be located at all: Fisher information of its channel, and the bound with a prior.
+
+The echo is Y = H(theta) X + N with white circular noise of variance sigma^2. With X X^H proportional to an
+illumination Q and the SNR s = ||H X||^2/||N||^2 over n = N_b L noise samples, the Fisher information is
+
+    F_ab = 2 s n Re tr(d_a H Q d_b H^H) / tr(H Q H^H),
+
+whatever the absolute power is. theta holds, in this order, position [m] (3), a rotation vector in world axes [rad]
+(3), permittivity, conductivity [S/m], and log-amplitude and phase [rad] of a complex gain that multiplies H. A gain
+that is known is one with a narrow prior. With independent priors of standard deviation p_a, the errors' covariance is
+bounded by (F + diag(1/p^2))^{-1} (the linearised posterior; exact for Gaussian posteriors, optimistic where several
+places explain the echo equally well).
+
+One tone's absolute phase repeats every half wavelength of range, 5 cm at 3 GHz: within a prior of decimetres it is
+no information that an estimator could use, although F counts it. The unknown gain is the honest case.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from august_jax.physics.array import PlanarArray, wavenumber
+from august_jax.physics.materials import contrast
+from august_jax.physics.response import Body, body_channel
+
+PARAMETERS = ("x", "y", "z", "turn_x", "turn_y", "turn_z", "permittivity", "conductivity", "log_gain", "phase")
+"""What the rows and columns of the information matrix stand for."""
+
+
+class Prior(NamedTuple):
+    """Standard deviations of the parameters before the echo is seen.
+
+    Attributes:
+        position_m: along each axis [m]; uniform within +-0.5 m by default.
+        turn_rad: about each axis [rad]; 20 degrees by default.
+        permittivity, conductivity: uniform in the paper's ranges by default, [1] and [S/m].
+        log_gain, phase: of the complex gain, [1] and [rad]; by default unknown. The phase's prior is far wider than a
+            turn: in a linearised bound a turn would stand for 3 cm of range.
+    """
+
+    position_m: float = 0.5 / np.sqrt(3.0)
+    turn_rad: float = np.deg2rad(20.0)
+    permittivity: float = 3.5 / np.sqrt(12.0)
+    conductivity: float = 9e-3 / np.sqrt(12.0)
+    log_gain: float = 10.0
+    phase: float = 1e3
+
+    def deviations(self) -> np.ndarray:
+        """(10,) in the order of ``PARAMETERS``."""
+        return np.array([*[self.position_m] * 3, *[self.turn_rad] * 3, *self[2:]])
+
+
+KNOWN_GAIN = Prior(log_gain=1e-4, phase=1e-4)
+
+
+def fisher_information(
+    body: Body,
+    array: PlanarArray,
+    rotation: jax.Array,
+    position: jax.Array,
+    permittivity: jax.Array,
+    conductivity: jax.Array,
+    snr: jax.Array,
+    *,
+    illumination: jax.Array | None = None,
+) -> np.ndarray:
+    """Fisher information of one pose, or of a batch.
+
+    Args:
+        body: a factored body; its tones are used together.
+        array: the antennas.
+        rotation: body to world (..., 3, 3).
+        position: of the body's origin (..., 3) [m].
+        permittivity, conductivity: of the body (...,), [1] and [S/m].
+        snr: linear, over all antennas, symbols (N_b of them) and tones.
+        illumination: Q (..., N_b, N_b), proportional to X X^H; None lights all directions alike.
+
+    Returns:
+        (..., 10, 10) float64, in the order of ``PARAMETERS``.
+    """
+    batch = np.shape(position)[:-1]
+    lit = jnp.eye(array.count) if illumination is None else jnp.asarray(illumination)
+    parts = (
+        jnp.broadcast_to(jnp.asarray(rotation, jnp.float32), (*batch, 3, 3)).reshape(-1, 3, 3),
+        jnp.asarray(position, jnp.float32).reshape(-1, 3),
+        jnp.broadcast_to(jnp.asarray(permittivity, jnp.float32), batch).reshape(-1),
+        jnp.broadcast_to(jnp.asarray(conductivity, jnp.float32), batch).reshape(-1),
+        jnp.broadcast_to(lit.astype(jnp.complex64), (*batch, array.count, array.count)).reshape(-1, *lit.shape[-2:]),
+    )
+    gram, energy = (np.asarray(value, np.float64) for value in _gram(body, array, *parts))
+    noise_samples = array.count**2 * len(body.frequencies_hz)
+    information = 2.0 * np.reshape(snr, (-1, 1, 1)) * noise_samples * gram / energy[:, None, None]
+    # The range's absolute phase, left out of the derivatives for the sake of their digits, comes back here exactly.
+    k = np.mean([wavenumber(tone) for tone in body.frequencies_hz])
+    toward = np.asarray(parts[1], np.float64)
+    change = np.tile(np.eye(len(PARAMETERS)), (len(toward), 1, 1))
+    change[:, 9, :3] = 2.0 * k * toward / np.linalg.norm(toward, axis=1, keepdims=True)
+    information = change.transpose(0, 2, 1) @ information @ change
+    return information.reshape(*batch, len(PARAMETERS), len(PARAMETERS))
+
+
+def error_covariance(information: np.ndarray, prior: Prior = Prior()) -> np.ndarray:
+    """(F + diag(1/p^2))^{-1}, the bound on the errors' covariance (..., 10, 10), float64."""
+    deviation = prior.deviations()
+    scaled = deviation[:, None] * np.asarray(information, np.float64) * deviation
+    inverse = np.linalg.inv(scaled + np.eye(len(deviation)))
+    return deviation[:, None] * inverse * deviation
+
+
+def position_bound(information: np.ndarray, prior: Prior = Prior()) -> np.ndarray:
+    """Bound on the root-mean-square position error (...,) [m]."""
+    return np.sqrt(np.trace(error_covariance(information, prior)[..., :3, :3], axis1=-2, axis2=-1))
+
+
+def mean_position_error(information: np.ndarray, prior: Prior = Prior()) -> np.ndarray:
+    """Mean |error| (...,) [m] of a position whose errors are Gaussian with the bound's covariance.
+
+    The metric MPE is a mean of distances; it compares with this rather than with the root mean square.
+    """
+    factor = np.linalg.cholesky(error_covariance(information, prior)[..., :3, :3])
+    draws = np.random.default_rng(0).normal(size=(3, 4096))
+    return np.linalg.norm(factor @ draws, axis=-2).mean(axis=-1)
+
+
+def tilt_bound(information: np.ndarray, normal: np.ndarray, prior: Prior = Prior()) -> np.ndarray:
+    """Bound on the root-mean-square error of the direction of ``normal`` (..., 3), [rad]."""
+    turns = error_covariance(information, prior)[..., 3:6, 3:6]
+    # A turn w moves the normal by w x n: what is along n does not count.
+    along = np.einsum("...a,...ab,...b->...", normal, turns, normal)
+    return np.sqrt(np.trace(turns, axis1=-2, axis2=-1) - along)
+
+
+@partial(jax.jit, static_argnames="array")
+def _gram(body, array, rotation, position, permittivity, conductivity, illumination):
+    """Re tr(d_a H Q d_b H^H) (B, 10, 10) and tr(H Q H^H) (B,), with the phase 2k(|t| - |t0|) taken out of H."""
+    tones = jnp.asarray(body.frequencies_hz, jnp.float32)
+    middle = float(np.mean([wavenumber(tone) for tone in body.frequencies_hz]))
+
+    def one(turn0, place0, epsilon0, sigma0, lit):
+        def channel(theta):
+            w = theta[3:6]
+            cross = jnp.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])
+            place = place0 + theta[:3]
+            chi = contrast(epsilon0 + theta[6], sigma0 + theta[7], tones).astype(jnp.complex64)
+            h = body_channel(body, array, turn0 + cross @ turn0, place, chi[0] if body.single else chi)
+            h = h.reshape(len(body.frequencies_hz), array.count, array.count)
+            toward = place0 / jnp.sqrt(jnp.sum(place0**2))
+            farther = theta[:3] @ toward  # |t| - |t0| to first order, all that a derivative sees
+            return h * jnp.exp(theta[8] + 1j * (theta[9] - 2.0 * middle * farther))
+
+        start = jnp.zeros(len(PARAMETERS), jnp.float32)
+        value = channel(start)
+        slopes = jax.jacfwd(channel)(start)
+        # H is near 1e-6: scale it before squaring in single precision.
+        scale = jnp.max(jnp.abs(value))
+        value, slopes = value / scale, slopes / scale
+        lit_slopes = jnp.einsum("fmnp,nk->fmkp", slopes, lit)
+        gram = jnp.real(jnp.einsum("fmkp,fmkq->pq", lit_slopes, slopes.conj()))
+        energy = jnp.real(jnp.sum(jnp.einsum("fmn,nk->fmk", value, lit) * value.conj()))
+        return 0.5 * (gram + gram.T), energy
+
+    return jax.lax.map(lambda parts: one(*parts), (rotation, position, permittivity, conductivity, illumination))

@@ -1,0 +1,173 @@
+"""The program as a user meets it: data, training, accuracy, a flight, their own drone, and files for other programs.
+
+One run of the smallest preset serves all tests of this file; what is checked is that each command leaves what it says
+and that its numbers hang together. How good the numbers are is not a matter of twenty steps.
+"""
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from august_jax import cli
+
+SMALL = ["target.airframes=[quad_x]", "data.count=32", "data.shard_rows=16", "flight.slots=4", "train.steps=4",
+         "train.save_every=4", "train.log_every=2"]
+
+
+@pytest.fixture(scope="module")
+def home(tmp_path_factory):
+    """A folder with a data set and a training run."""
+    home = tmp_path_factory.mktemp("home")
+    assert cli.main(["simulate", "--preset", "smoke", "--out", f"{home}/data", *SMALL]) == 0
+    assert cli.main(["train", "--data", f"{home}/data", "--out", f"{home}/run", *SMALL[4:]]) == 0
+    return home
+
+
+def call(capsys, *words):
+    """The JSON result of a command that works."""
+    status = cli.main([*map(str, words), "--json"])
+    captured = capsys.readouterr()
+    assert status == 0, captured.err
+    return json.loads(captured.out)
+
+
+def refused(capsys, *words):
+    status = cli.main([*map(str, words)])
+    captured = capsys.readouterr()
+    assert status == 2 and len(captured.err.strip().splitlines()) <= 6 and "Traceback" not in captured.err
+    return captured.err
+
+
+def test_simulate_has_nothing_left_to_do(capsys, home):
+    result = call(capsys, "simulate", "--preset", "smoke", "--out", home / "data", *SMALL)
+    assert (result["rows"], result["written"]) == (32, 0)
+
+
+def test_simulate_keeps_off_other_data(capsys, home):
+    message = refused(capsys, "simulate", "--preset", "smoke", "--out", home / "data", *SMALL, "target.skin_m=0.003")
+    assert "another configuration" in message and "--out" in message
+
+
+def test_train_leaves_a_run(home):
+    names = {path.name for path in (home / "run").iterdir()}
+    assert {"weights.npz", "config.yaml", "metrics.jsonl", "curves.png"} <= names
+    lines = [json.loads(line) for line in (home / "run" / "metrics.jsonl").read_text().splitlines()]
+    assert [line["step"] for line in lines] == [2, 4]
+    assert all(math.isfinite(value) for line in lines for value in line.values())
+
+
+@pytest.mark.parametrize("extra, wanted", [
+    (["--preset", "laptop"], ["preset: 'laptop'", "'smoke'"]),
+    (["array.nx=8"], ["array.nx=8", "made with 4"]),
+    (["data.seed=3"], ["data.seed=3", "made with 0"]),
+    (["train.batch=64"], ["train.batch", "64"]),
+])
+def test_train_wants_what_the_data_are(capsys, home, tmp_path, extra, wanted):
+    message = refused(capsys, "train", "--data", home / "data", "--out", tmp_path / "run", *extra)
+    assert all(text in message for text in wanted)
+    assert not (tmp_path / "run").exists()
+
+
+def test_evaluate_rows(capsys, home):
+    result = call(capsys, "evaluate", home / "run", "--seed", 5, "--out", home / "evaluation", "evaluate.count=4",
+                  "evaluate.snr_db=[20]")
+    rows = {row["scheme"]: row for row in result["rows"]}
+    assert list(rows) == ["august", "prior", "up", "mean_shape", "resampling"]
+    defined = {scheme: {name for name in ("mpe_m", "mde", "wd_db", "mcd_db") if row[name] is not None}
+               for scheme, row in rows.items()}
+    assert defined["prior"] == {"mpe_m"} and defined["up"] == {"mde"} and defined["mean_shape"] == {"wd_db", "mcd_db"}
+    assert len(defined["august"]) == len(defined["resampling"]) == 4
+    for row in rows.values():
+        assert (row["snr_db"], row["count"]) == (20.0, 4)
+    # the floor lies below what knows only the prediction, and the prediction misses by less than the box's half diagonal
+    assert rows["resampling"]["wd_db"] < rows["mean_shape"]["wd_db"]
+    assert rows["resampling"]["mpe_m"] < rows["prior"]["mpe_m"] < 0.5 * math.sqrt(3.0)
+    assert json.loads((home / "evaluation" / "evaluation.json").read_text())["rows"] == result["rows"]
+    assert (home / "evaluation" / "evaluation.png").is_file()
+
+
+def test_weights_refuse_another_configuration(capsys, home):
+    assert "model.latent=4" in refused(capsys, "evaluate", home / "run", "model.latent=4")
+    assert "'smoke'" in refused(capsys, "evaluate", home / "run", "--preset", "laptop")
+
+
+FILES = {"report.html", "cloud.ply", "clouds.npz", "metrics.json", "config.yaml"}
+
+
+@pytest.fixture(scope="module")
+def flown(home):
+    assert cli.main(["demo", "--run", f"{home}/run", "--slots", "3", "--out", f"{home}/demo"]) == 0
+    return home / "demo"
+
+
+def test_demo_leaves_a_report_and_numbers_that_agree(flown):
+    assert {path.name for path in flown.iterdir()} == FILES | {"demo.png"}
+    found = json.loads((flown / "metrics.json").read_text())
+    assert len(found["slots"]) == 3
+    schemes = {row["scheme"]: row for row in found["schemes"]}
+    # a mean over slots in float32 against the same in float64
+    assert schemes["august"]["mpe_m"] == pytest.approx(np.mean([s["position_error_m"] for s in found["slots"]]), rel=1e-4)
+    assert schemes["prior"]["mpe_m"] == pytest.approx(np.mean([s["predicted_error_m"] for s in found["slots"]]), rel=1e-4)
+    with np.load(flown / "clouds.npz") as track:
+        np.testing.assert_allclose(track["points"].mean(axis=1), [s["estimate"] for s in found["slots"]], atol=1e-5)
+        # the first prediction is drawn within the threshold, as the report says
+        assert np.abs(track["predicted"][0] - track["position"][0]).max() <= 0.5 + 1e-5
+
+
+@pytest.mark.parametrize("kind, count", [("ply", 2), ("mat", 1), ("json", 1)])
+def test_export_of_a_flight(capsys, flown, tmp_path, kind, count):
+    result = call(capsys, "export", flown, "--format", kind, "--index", 1, "--out", tmp_path)
+    assert result["index"] == 1 and len(result["files"]) == count
+    assert {str(path) for path in tmp_path.iterdir()} == set(result["files"])
+
+
+def test_export_of_a_sample_is_the_sample(capsys, home, tmp_path):
+    result = call(capsys, "export", home / "data", "--format", "npz", "--index", 7, "--out", tmp_path)
+    with np.load(result["files"][0]) as record:
+        assert record["slot"] == 3 and record["flight"] == 1
+        np.testing.assert_array_equal(record["channel"], record["channel"].swapaxes(-1, -2))
+    assert "--index: 32 is out of range" in refused(capsys, "export", home / "data", "--format", "npz", "--index", 32)
+
+
+@pytest.fixture(scope="module")
+def mesh(tmp_path_factory):
+    """A drone in a file of its own, in millimetres."""
+    from august_jax.scene import procedural_airframe
+
+    craft = procedural_airframe("quad_x", 0.25).mesh.copy()
+    craft.apply_scale(1000.0)
+    path = tmp_path_factory.mktemp("mesh") / "mine.stl"
+    craft.export(path)
+    return path
+
+
+def test_reconstruct_a_drone_from_a_file(capsys, home, mesh, tmp_path):
+    result = call(capsys, "reconstruct", "--mesh", mesh, "--unit", "mm", "--half-wheelbase", 0.25, "--run", home / "run",
+                  "--out", tmp_path / "mine", "--position", "4,5,3", "--pitch", -10)
+    assert {path.name for path in (tmp_path / "mine").iterdir()} == FILES | {"reconstruct.png"}
+    slot, = result["slots"]
+    np.testing.assert_allclose(slot["position"], [4.0, 5.0, 3.0])
+    # nose up by 10 degrees: the normal leans back
+    np.testing.assert_allclose(slot["normal"], [-math.sin(math.radians(10)), 0.0, math.cos(math.radians(10))], atol=1e-6)
+
+
+@pytest.mark.parametrize("extra, wanted", [
+    ([], ["half_wheelbase", "--half-wheelbase 0.25", "--unit"]),
+    (["--unit", "furlong"], ["unit='furlong'", "mm"]),
+    (["--unit", "mm", "--up", "w"], ["up='w'"]),
+    (["--unit", "mm", "--position", "40,5,3"], ["position", "40", "x 3 to 7", "--position 5,6,3.5"]),
+    (["--unit", "mm", "--roll", "60"], ["roll", "60", "30 degrees"]),
+    (["--unit", "mm", "--permittivity", "12"], ["permittivity", "12", "1.5 to 5"]),
+    (["--unit", "mm", "--conductivity", "2"], ["conductivity", "0.001 to 0.01 S/m"]),
+])
+def test_reconstruct_refuses_what_the_weights_do_not_know(capsys, home, mesh, tmp_path, extra, wanted):
+    message = refused(capsys, "reconstruct", "--mesh", mesh, "--run", home / "run", "--out", tmp_path / "out", *extra)
+    assert all(text in message for text in wanted), message
+    assert not (tmp_path / "out").exists()
+
+
+def test_reconstruct_without_a_file(capsys, home, tmp_path):
+    message = refused(capsys, "reconstruct", "--mesh", tmp_path / "none.stl", "--run", home / "run")
+    assert "none.stl" in message and "no such file" in message

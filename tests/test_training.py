@@ -1,0 +1,177 @@
+"""The training step and the run around it: it learns, it continues to the same numbers, it stops when it must."""
+
+import json
+from dataclasses import replace
+
+import jax
+import numpy as np
+import pytest
+
+from august_jax.config import preset
+from august_jax.models import reconstruct
+from august_jax.training import Checkpoints, compiled_step, initial_state, load_weights, save_weights, train
+from august_jax.training.checkpoint import flatten
+
+SMOKE = preset("smoke")
+MODEL = replace(SMOKE.model, channel_features=8, encoder_features=16, encoder_layers=1, latent=4, fourier=1,
+                flow_layers=2, flow_features=8, denoiser=(16, 16), steps=20)
+CONFIG = replace(SMOKE, array=replace(SMOKE.array, nx=5, nz=4), model=MODEL,
+                 train=replace(SMOKE.train, steps=4, batch=8, points=8, log_every=1, save_every=2))
+ORDERS = 15
+ROWS, COLUMNS = np.triu_indices(ORDERS)
+GAIN = np.random.default_rng(5).normal(size=(len(ROWS), 3, 2)) @ np.array([0.05, 0.05j])
+"""What each coefficient gains per unit of offset, beside a leading one of 1: a stand-in for physics."""
+
+
+def next_batch(step, count=CONFIG.train.batch):
+    """A flat square shifted by an offset that the channel tells linearly, under an unknown phase."""
+    generator = np.random.default_rng(step)
+    offset = generator.uniform(-0.6, 0.6, (count, 3))
+    channel = np.zeros((count, 1, ORDERS, ORDERS), complex)
+    channel[:, 0, ROWS, COLUMNS] = offset @ GAIN.T
+    channel[:, 0, 0, 0] = 1.0
+    channel = (channel + np.swapaxes(channel, -1, -2)) * np.exp(2j * np.pi * generator.uniform(size=(count, 1, 1, 1)))
+    cloud = np.full((count, 12, 5), 0.5)
+    cloud[..., :2] = generator.uniform(-0.2, 0.2, (count, 12, 2))
+    cloud[..., 2] = 0.0
+    cloud[..., :3] += offset[:, None]
+    return {"channel": (1e-6 * channel).astype(np.complex64), "cloud": cloud.astype(np.float32),
+            "predicted": np.tile(np.float32([5, 6, 3]), (count, 1)), "snr_db": np.full(count, 20.0, np.float32)}
+
+
+def same(one, two):
+    for name, leaf in flatten(one._replace(key=jax.random.key_data(one.key))).items():
+        other = flatten(two._replace(key=jax.random.key_data(two.key)))[name]
+        np.testing.assert_array_equal(leaf, other, err_msg=name)
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("run")
+    lines, drawn = [], []
+    state = train(CONFIG, next_batch, folder, printer=lines.append, draw=lambda *paths: drawn.append(paths),
+                  validate=lambda graphdef, arrays, done: {"position_error": done / 100})
+    return folder, state, lines, drawn
+
+
+def test_a_run_leaves_its_configuration_metrics_weights_and_checkpoints(finished):
+    folder, state, lines, drawn = finished
+    assert int(state.step) == 4
+    metrics = [json.loads(line) for line in (folder / "metrics.jsonl").read_text().splitlines()]
+    assert [line["step"] for line in metrics] == [1, 2, 3, 4]
+    assert {"loss", "position", "material", "latent", "gradient", "samples_per_s"} <= set(metrics[0])
+    assert [line.get("position_error") for line in metrics] == [None, 0.02, None, 0.04]
+    assert drawn == [(folder / "metrics.jsonl", folder / "curves.png")] * 2
+    assert any(line.startswith("step 4/4") and "left" in line for line in lines)
+    _, arrays = load_weights(folder / "weights.npz", CONFIG)
+    np.testing.assert_array_equal(np.concatenate([np.ravel(leaf) for leaf in jax.tree.leaves(arrays)]), state.ema)
+
+
+def test_a_run_continued_after_an_interruption_ends_in_the_same_numbers(finished, tmp_path):
+    folder, state, *_ = finished
+
+    def interrupted(step):
+        if step == 3:
+            raise ConnectionError("power cut")
+        return next_batch(step)
+
+    with pytest.raises(ConnectionError):
+        train(CONFIG, interrupted, tmp_path, printer=lambda line: None)
+    stale = tmp_path / "checkpoints" / "3.orbax-checkpoint-tmp"  # what kill -9 leaves of a save
+    stale.mkdir()
+    lines = []
+    again = train(CONFIG, next_batch, tmp_path, printer=lines.append)
+    assert lines[0] == "continuing from step 2 of 4"
+    assert not stale.exists()
+    same(again, state)
+    kept = [json.loads(line) for line in (tmp_path / "metrics.jsonl").read_text().splitlines()]
+    whole = [json.loads(line) for line in (folder / "metrics.jsonl").read_text().splitlines()]
+    assert [(line["step"], line["loss"]) for line in kept] == [(line["step"], line["loss"]) for line in whole]
+
+    other = replace(CONFIG, model=replace(MODEL, latent=5))
+    with pytest.raises(ValueError, match="model.latent: the run in .* was started with 4, now it is 5"):
+        train(other, next_batch, tmp_path, printer=lambda line: None)
+
+
+def test_a_loss_that_is_not_finite_stops_the_run_by_name(tmp_path):
+    def poisoned(step):
+        batch = next_batch(step)
+        if step == 1:
+            batch["cloud"][0, :, 4] = np.nan
+        return batch
+
+    with pytest.raises(FloatingPointError, match="step 2 gave .* not finite in .*material"):
+        train(CONFIG, poisoned, tmp_path, printer=lambda line: None)
+    assert not (tmp_path / "weights.npz").exists()
+
+
+def test_a_step_clips_decays_and_averages():
+    """The first Adam step moves every heard parameter by the learning rate; the average starts with weight 2/11."""
+    networks, state = initial_state(CONFIG)
+    before = np.asarray(state.params)
+    state, report = compiled_step(networks, CONFIG.train, state, next_batch(0))
+    moved = np.asarray(state.params) - before
+    heard = np.abs(moved) > 0
+    # |g|/(|g| + 1e-8): full size unless a clipped gradient is as small as Adam's epsilon
+    np.testing.assert_allclose(np.median(np.abs(moved[heard])), CONFIG.train.learning_rate[0], rtol=1e-2)
+    np.testing.assert_allclose(np.asarray(state.ema) - before, moved * 9 / 11, atol=1e-6)
+    assert np.isfinite(report["gradient"]) and int(state.step) == 1
+
+
+def test_training_learns_where_the_target_is():
+    """Three hundred steps from a channel that tells the offset: the cloud's mean follows it."""
+    settings = replace(CONFIG, model=replace(MODEL, encoder_features=48, channel_features=32, denoiser=(32, 32)),
+                       train=replace(CONFIG.train, steps=300, batch=64, learning_rate=(5e-3, 1e-4)))
+    networks, state = initial_state(settings)
+    for number in range(300):
+        state, _ = compiled_step(networks, settings.train, state, next_batch(number, 64))
+    test = next_batch(10_000, 64)
+    clouds = reconstruct(networks.graphdef, networks.arrays(np.asarray(state.ema)), jax.random.key(0), test["channel"],
+                         test["predicted"], test["snr_db"], count=64, steps=8)
+    truth = test["cloud"].mean(axis=1)[:, :3]
+    error = np.sqrt(np.mean((np.asarray(clouds)[..., :3].mean(axis=1) - truth) ** 2))
+    # not knowing anything gives 0.35, the offset's own spread
+    assert error < 0.15, error
+
+
+def test_weights_come_back_in_full_or_half_precision(tmp_path):
+    networks, state = initial_state(CONFIG)
+    arrays = networks.arrays(np.asarray(state.params))
+    save_weights(tmp_path / "full.npz", arrays)
+    save_weights(tmp_path / "half.npz", arrays, half=True)
+    _, full = load_weights(tmp_path / "full.npz", CONFIG)
+    _, half = load_weights(tmp_path / "half.npz", CONFIG)
+    jax.tree.map(np.testing.assert_array_equal, full, arrays)
+    # float16 keeps 11 bits; below 6e-5 it is subnormal
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=2**-11, atol=6e-8), half, arrays)
+    assert (tmp_path / "half.npz").stat().st_size < 0.8 * (tmp_path / "full.npz").stat().st_size
+    assert "denoiser.layers.0.gate.kernel" in np.load(tmp_path / "full.npz").files
+    with pytest.raises(ValueError, match="not finite in float16; nothing written"):
+        save_weights(tmp_path / "big.npz", jax.tree.map(lambda leaf: leaf + np.float32(1e6), arrays), half=True)
+    assert not (tmp_path / "big.npz").exists()
+
+
+@pytest.mark.parametrize("change, message", [
+    ({"latent": 6}, r"has shape .*, the configuration wants"),
+    ({"flow_layers": 3}, r"prior.conditioners.2.* is missing"),
+    ({"flow_layers": 1}, r"prior.conditioners.1.* is not part of this configuration"),
+])
+def test_weights_of_another_configuration_are_refused(change, message, finished):
+    with pytest.raises(ValueError, match=message):
+        load_weights(finished[0] / "weights.npz", replace(CONFIG, model=replace(MODEL, **change)))
+
+
+def test_a_missing_or_damaged_file_of_weights_is_named(tmp_path):
+    with pytest.raises(ValueError, match="weights.npz is not a readable"):
+        load_weights(tmp_path / "weights.npz", CONFIG)
+    (tmp_path / "weights.npz").write_bytes(b"PK\x03\x04 torn")
+    with pytest.raises(ValueError, match="weights.npz is not a readable"):
+        load_weights(tmp_path / "weights.npz", CONFIG)
+
+
+def test_an_empty_folder_has_no_checkpoint(tmp_path):
+    _, state = initial_state(CONFIG)
+    with Checkpoints(tmp_path) as checkpoints:
+        assert checkpoints.latest is None
+        with pytest.raises(ValueError, match="no checkpoint in"):
+            checkpoints.restore(state)
