@@ -228,7 +228,7 @@ def preset(name: str) -> Config:
             encoder="roi", latent=64, flow_layers=6, flow_features=64, fourier=4,
             denoiser=(64, 128, 256, 256, 128, 64), time_embedding="log_snr",
         ),
-        train=TrainConfig(steps=12_000, batch=512, points=32, learning_rate=(1e-3, 1e-5), reobserve=True,
+        train=TrainConfig(steps=3_000, batch=256, points=24, learning_rate=(1e-3, 1e-5), reobserve=True,
                           weight_readout=1.0),
     )
     smoke = replace(

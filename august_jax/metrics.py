@@ -106,5 +106,6 @@ def _check_clouds(estimated, true) -> None:
 
 
 def _check_vectors(name: str, first, other: str, second) -> None:
-    if jnp.shape(first) != jnp.shape(second) or jnp.ndim(first) != 2 or jnp.shape(first)[-1] != 3:
-        raise ValueError(f"{name}, {other}: got shapes {jnp.shape(first)} and {jnp.shape(second)}; give (B, 3) for both")
+    shapes = jnp.shape(first), jnp.shape(second)
+    if shapes[0] != shapes[1] or len(shapes[0]) != 2 or shapes[0][-1] != 3:
+        raise ValueError(f"{name}, {other}: got shapes {shapes[0]} and {shapes[1]}; give (B, 3) for both")

@@ -18,7 +18,8 @@ def denoiser(widths=(8, 6), condition=3, embedding="paper"):
     """A denoiser away from its start, where its output is zero."""
     graphdef, state = nnx.split(Denoiser(widths, condition, SCHEDULE, embedding, rngs=nnx.Rngs(0)))
     generator = np.random.default_rng(0)
-    return nnx.merge(graphdef, jax.tree.map(lambda leaf: leaf + 0.1 * generator.normal(size=leaf.shape).astype("f"), state))
+    state = jax.tree.map(lambda leaf: leaf + 0.1 * generator.normal(size=leaf.shape).astype("f"), state)
+    return nnx.merge(graphdef, state)
 
 
 def inputs(batch=4, points=7, condition=3):

@@ -150,7 +150,7 @@ def test_observe_roi_is_the_projection_of_observe():
 
 
 def test_region_estimate_against_a_slow_bayesian_twin():
-    """The estimate equals the Gaussian posterior mean of vec(H) with the covariance sum_q p w_q vec(gg^T)vec(gg^T)^H."""
+    """The estimate is the Gaussian posterior mean of vec(H) under the covariance sum_q p w_q vec(gg^T) vec(gg^T)^H."""
     array = PlanarArray(4, 2, 3e9)
     rng = np.random.default_rng(2)
     predicted, half = np.array([3.0, 4.0, 2.0]), 0.75

@@ -13,7 +13,8 @@ def flow(size, layers=3, features=8):
     """A flow away from its start, where it is the identity."""
     graphdef, state = nnx.split(RealNVP(size, layers, features, rngs=nnx.Rngs(0)))
     generator = np.random.default_rng(1)
-    return nnx.merge(graphdef, jax.tree.map(lambda leaf: leaf + 0.3 * generator.normal(size=leaf.shape).astype("f"), state))
+    state = jax.tree.map(lambda leaf: leaf + 0.3 * generator.normal(size=leaf.shape).astype("f"), state)
+    return nnx.merge(graphdef, state)
 
 
 def test_the_start_is_the_standard_normal():

@@ -1,4 +1,4 @@
-r"""AUGUST: channel encoder, latent code with a learnable prior, and a conditional diffusion of points (paper, IV and V).
+r"""AUGUST: channel encoder, latent code with a learnable prior, conditional diffusion of points (paper, IV and V).
 
 Training minimises, per batch (paper, eq. loss joint),
 

@@ -79,7 +79,7 @@ def dipole_fields_about(
 ) -> jax.Array:
     """Fields at ``base + local`` of dipoles at ``elements``: single precision keeps the digits of the phase k r.
 
-    Only |base| is long. It is carried in two floats, and what each point and each element add to it is computed
+    Only |base| is long. It is carried in two parts, and what each point and each element add to it is computed
     from small numbers, so that the phase at 25 m errs by 1e-6 rad and not by 1e-4 rad.
 
     Args:
@@ -87,22 +87,24 @@ def dipole_fields_about(
         base: from the array's centre to the body's centre (3,) [m].
         elements: antennas about the array's centre (N_b, 3) [m].
         moments: unit vectors of the dipoles, (3,) or (N_b, 3).
-        wavenumber: k [rad/m].
+        wavenumber: k [rad/m], a plain number.
 
     Returns:
         (N, N_b, 3) complex [1/m].
     """
-    distance, remainder = _long_distance(base)
+    whole, rest = _long_distance(base)
     to_middle = base - elements
     to_middle_r = jnp.sqrt(jnp.sum(to_middle**2, axis=-1))
-    element_shift = jnp.sum(elements * (elements - 2.0 * base), axis=-1) / (distance + to_middle_r)
+    element_shift = jnp.sum(elements * (elements - 2.0 * base), axis=-1) / (whole + rest + to_middle_r)
     displacement = local[:, None] + to_middle
     r = jnp.sqrt(jnp.sum(displacement**2, axis=-1))
     local_shift = (2.0 * local @ to_middle.T + jnp.sum(local**2, axis=-1)[:, None]) / (r + to_middle_r)
-    per_turn = jnp.asarray(wavenumber / (2.0 * np.pi), distance.dtype)
-    turns = distance * per_turn
-    fraction = turns - jax.lax.stop_gradient(jnp.round(turns)) + _product_error(distance, per_turn, turns)
-    phase = 2.0 * np.pi * fraction + wavenumber * (remainder + element_shift + local_shift)
+    # Whole turns of the long part go: twelve bits of distance times as many of 1/wavelength make an exact product.
+    per_turn = wavenumber / (2.0 * np.pi)
+    short_turn = np.round(16.0 * per_turn) / 16.0
+    turns = whole * short_turn
+    fraction = (turns - jnp.round(turns)) + whole * (per_turn - short_turn)
+    phase = 2.0 * np.pi * fraction + wavenumber * (rest + element_shift + local_shift)
     g, h = _radial_factors(wavenumber * r)
     wave = jnp.exp(1j * phase) / (_FOUR_PI * r)
     moments = jnp.broadcast_to(jnp.asarray(moments, local.dtype), elements.shape)
@@ -116,27 +118,12 @@ def _radial_factors(kr):
     return 3.0 * square - 3j * inverse - 1.0, square - 1j * inverse - 1.0
 
 
-def _split(value):
-    """Veltkamp's split of a float into two halves whose products are exact."""
-    bits = jnp.finfo(value.dtype).nmant + 1
-    scaled = value * (2.0 ** ((bits + 1) // 2) + 1.0)
-    high = scaled - (scaled - value)
-    return high, value - high
-
-
-def _product_error(a, b, product):
-    """a b - product, the rounding error of ``product`` (Dekker); a constant for differentiation."""
-    (a_high, a_low), (b_high, b_low) = _split(a), _split(b)
-    error = ((a_high * b_high - product) + a_high * b_low + a_low * b_high) + a_low * b_low
-    return jax.lax.stop_gradient(error)
-
-
 def _long_distance(vector):
-    """|vector| and what its rounding left out."""
-    square = jnp.sum(vector**2)
-    length = jnp.sqrt(square)
-    remainder = -length * length - _product_error(length, length, length * length)
-    for axis in range(3):
-        part = vector[axis] * vector[axis]
-        remainder = remainder + part + _product_error(vector[axis], vector[axis], part)
-    return length, jax.lax.stop_gradient(remainder / (2.0 * length))
+    """|vector| as a number of twelve bits, a constant for differentiation, and the rest with all its digits."""
+    length = jnp.sqrt(jnp.sum(vector**2))
+    unit = jnp.exp2(jnp.ceil(jnp.log2(jax.lax.stop_gradient(length))) - 12.0)
+    whole, coarse = (jax.lax.stop_gradient(jnp.round(value / unit) * unit) for value in (length, vector))
+    fine = vector - coarse
+    # |vector|^2 - whole^2: the squares of twelve-bit numbers and their sum are exact, the other terms are small.
+    excess = (jnp.sum(coarse**2) - whole**2) + jnp.sum(fine * (2.0 * coarse + fine))
+    return whole, excess / (length + whole)

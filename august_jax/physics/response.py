@@ -260,7 +260,7 @@ def _cached(cells: Cells, frequency_hz: float, nearest_m: float, cache: bool) ->
     path = cache_folder() / f"{_FORMAT}-{digest.hexdigest()[:24]}.npz"
     if cache and path.exists():
         try:
-            with np.load(path) as stored:
+            with path.open("rb") as file, np.load(file) as stored:
                 return dict(stored)
         except (OSError, ValueError, EOFError, zipfile.BadZipFile):
             pass  # a damaged file is made again below

@@ -7,8 +7,8 @@ reciprocal channel is symmetric. The estimators, by name:
   and more), so the inverse is taken on the singular values of X above a tenth of the largest; how many those are is
   returned as the rank.
 * ``ridge``: Y X^H (X X^H + r I)^{-1}. With the pilots' mean gain on the illuminated directions,
-  g = tr((X X^H)^2)/tr(X X^H), and the echo's energy E = ||Y||^2 - ||N||^2, the error is about E r^2/g^3 + 2 sigma^2 N_b/r
-  (bias plus noise, for a spectrum that falls by a factor e every two modes); its minimum is
+  g = tr((X X^H)^2)/tr(X X^H), and the echo's energy E = ||Y||^2 - ||N||^2, the error is about
+  E r^2/g^3 + 2 sigma^2 N_b/r (bias plus noise, for a spectrum that falls by a factor e every two modes); its minimum is
   r = g (sigma^2 N_b/E)^{1/3}.
 * ``dft``: plain least squares from unitary pilots of the same power, which light all directions alike.
 * ``lmmse_roi``: linear MMSE for a cloud of independent isotropic scatterers that fills the region's box about the

@@ -8,8 +8,8 @@ that low-order polynomials P (products of Legendre polynomials along x and z, ma
 
 U has orthonormal columns: white noise stays white in A, and the projection is an orthogonal one. A is symmetric where
 H is. On a 16 x 4 array at 3 GHz fifteen functions keep all but 1e-9 of a channel's energy for targets within 0.5 m of q
-in the paper's box (17 to 47 m away), and all but 2e-6 on average in a box 5 to 11 m away, where ten lose 1e-4. A 16 x 16
-array needs 28 for as little in the near box.
+in the paper's box (17 to 47 m away), and all but 2e-6 on average in a box 5 to 11 m away, where ten lose 1e-4. A
+16 x 16 array needs 28 for as little in the near box.
 
 The functions take one sample and one tone; ``jax.vmap`` supplies both axes.
 """
@@ -131,7 +131,9 @@ def project(channel: jax.Array, predicted: jax.Array, positions: jax.Array, wave
     return waves.T @ channel @ waves
 
 
-def lift(coefficients: jax.Array, predicted: jax.Array, positions: jax.Array, wavenumber, basis: jax.Array) -> jax.Array:
+def lift(
+    coefficients: jax.Array, predicted: jax.Array, positions: jax.Array, wavenumber, basis: jax.Array
+) -> jax.Array:
     """The channel (N_b, N_b) of given coefficients, H = U A U^T; arguments as in :func:`project`."""
     waves = subspace(predicted, positions, wavenumber, basis)
     return waves @ coefficients @ waves.T

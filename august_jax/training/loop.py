@@ -1,7 +1,8 @@
 """The run: batches in, a folder out that can be continued after any interruption to the same numbers.
 
 The folder holds ``config.yaml``; ``metrics.jsonl``, one object a log point; ``curves.png`` if the caller says who
-draws it; ``checkpoints/``; and ``weights.npz``, the moving average of the parameters as of the last save, which is what evaluation loads.
+draws it; ``checkpoints/``; and ``weights.npz``, the moving average of the parameters as of the last save, which is
+what evaluation loads.
 """
 
 from __future__ import annotations
@@ -131,8 +132,8 @@ def _check_same_run(config: Config, path: Path) -> None:
     before, now = core(configuration.from_yaml(path.read_text(encoding="utf-8"))), core(config)
     for name, value in now.items():
         if before[name] != value:
-            raise ValueError(f"{name}: the run in {path.parent} was started with {before[name]!r}, now it is {value!r}; "
-                             "continue with the old value or choose another folder")
+            raise ValueError(f"{name}: the run in {path.parent} was started with {before[name]!r}, now it is "
+                             f"{value!r}; continue with the old value or choose another folder")
 
 
 def _forget_after(metrics: Path, step: int) -> None:

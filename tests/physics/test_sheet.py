@@ -1,6 +1,10 @@
-"""Thin sheets: partly filled 10 mm cells against the same 2 mm sheet resolved by 2 mm cells, at three tilts.
+"""Thin sheets: partly filled 10 mm cells against the same 2 mm sheet of 2 mm cells, at three tilts.
 
-The sheet lies still in the world while the coarse lattice is tilted under it, so that one resolved solution serves all.
+A plane wave meets a 60 mm sheet of 2 mm thickness; its far field over all directions is compared. The coarse lattice is
+tilted against the sheet, so that one resolved solution serves all. Measured: 7, 9 and 10 % at permittivity 3 and 7, 16
+and 18 % at permittivity 5 (tilts 0.15 rad and more about x); the far field of so small a sheet owes much to its rim,
+where cells of 10 mm stand for less than half of themselves. (The resolved sheet itself moves by 1 and 3 % when 1 mm
+cells replace its 2 mm ones.) Scalar mixing, without the normals, is what the last test keeps away.
 """
 
 import jax
@@ -9,36 +13,65 @@ import numpy as np
 import pytest
 from lattices import turned
 
-from august_jax.physics import Cells, PlanarArray, sensing_channel
+from august_jax.physics import Cells, interaction_matrix, solve_dense, wavenumber
+from august_jax.physics.mom import weighted_fields
 from august_jax.scene.lattice import shell_cells
 
-ARRAY = PlanarArray(8, 4, 3e9)
-PLACE = np.array([0.8, 2.0, 0.6])
-SIDE, SKIN = 0.08, 0.002
+K = wavenumber(3e9)
+SIDE, SKIN = 0.06, 0.002
+ALONG = np.array([0.36, 0.48, -0.8]), np.array([0.8, -0.6, 0.0])
+"""Direction and polarization of a wave whose field lies in the sheet."""
+ACROSS = np.array([0.6, 0.8, 0.0]), np.array([0.0, 0.0, 1.0])
+"""The same of a wave whose field stands across it."""
+
+
+def far_field(cells, contrast, wave=ALONG):
+    """Radiated field (D, 3) in fixed directions."""
+    nodes, angles = np.polynomial.legendre.leggauss(8)[0], 2 * np.pi * np.arange(12) / 12
+    sine = np.sqrt(1 - nodes**2)
+    directions = np.stack([np.outer(sine, np.cos(angles)), np.outer(sine, np.sin(angles)),
+                           np.outer(nodes, np.ones(12))], -1).reshape(-1, 3)
+    cells = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), cells)
+    phase = np.exp(1j * K * np.asarray(cells.positions, float) @ wave[0])
+    wave = (phase[:, None] * wave[1]).reshape(-1, 1).astype(np.complex64)
+    solution = solve_dense(interaction_matrix(cells, K), contrast, weighted_fields(cells, jnp.asarray(wave)))
+    moments = np.asarray(weighted_fields(cells, solution.polarization)).reshape(-1, 3)
+    field = np.exp(-1j * K * directions @ np.asarray(cells.positions, float).T) @ moments
+    return field - directions * np.sum(field * directions, 1, keepdims=True)
 
 
 def resolved():
-    steps = (np.arange(40) - 19.5) * SKIN
+    steps = (np.arange(30) - 14.5) * SKIN
     grid = np.stack(np.meshgrid(steps, steps, [0.0], indexing="ij"), -1).reshape(-1, 3)
     return Cells(grid, np.full(len(grid), SKIN**3))
 
 
 @pytest.fixture(scope="module")
 def reference():
-    cells = resolved().moved(jnp.asarray(turned([0.2, 0.5, 0.3])), jnp.asarray(PLACE))
-    cells = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), cells)
-    return {permittivity: np.asarray(sensing_channel(ARRAY, cells, permittivity - 1.0)) for permittivity in (3.0, 5.0)}
+    return {permittivity: far_field(resolved(), permittivity - 1.0) for permittivity in (3.0, 5.0)}
 
 
 @pytest.mark.parametrize("tilt", [0.0, 0.35, 0.7])
-@pytest.mark.parametrize(("permittivity", "ceiling"), [(3.0, 0.05), (5.0, 0.12)])
+@pytest.mark.parametrize(("permittivity", "ceiling"), [(3.0, 0.11), (5.0, 0.19)])
 def test_coarse_cells_stand_for_the_sheet(reference, tilt, permittivity, ceiling):
-    half = SIDE / 2
+    field, exact = far_field(coarse(tilt), permittivity - 1.0), reference[permittivity]
+    assert np.linalg.norm(field - exact) < ceiling * np.linalg.norm(exact)
+
+
+def test_a_field_across_the_sheet_needs_the_normals():
+    exact = far_field(resolved(), 4.0, ACROSS)
+    cells = coarse(0.35)
+    with_normals, without = (
+        np.linalg.norm(far_field(each, 4.0, ACROSS) - exact) / np.linalg.norm(exact)
+        for each in (cells, cells._replace(normals=None))
+    )
+    assert with_normals < 0.5 * without
+
+
+def coarse(tilt):
+    # The shell rounds the sheet's rim by half its thickness: this much smaller, it has the sheet's volume.
+    half = SIDE / 2 - SKIN * np.pi / 8
     corners = np.array([[-half, -half, 0], [half, -half, 0], [half, half, 0], [-half, half, 0.0]])
     lean = turned([0.15, tilt, 0.1])  # lattice axes to sheet axes
-    coarse = shell_cells((corners @ lean)[np.array([[0, 1, 2], [0, 2, 3]])], 0.01, SKIN)
-    cells = coarse.moved(jnp.asarray(turned([0.2, 0.5, 0.3]) @ lean), jnp.asarray(PLACE))
-    cells = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), cells)
-    channel = np.asarray(sensing_channel(ARRAY, cells, permittivity - 1.0))
-    exact = reference[permittivity]
-    assert np.linalg.norm(channel - exact) < ceiling * np.linalg.norm(exact)
+    cells = shell_cells((corners @ lean)[np.array([[0, 1, 2], [0, 2, 3]])], 0.01, SKIN)
+    return cells.moved(jnp.asarray(lean), jnp.zeros(3))
