@@ -26,8 +26,11 @@ import numpy as np
 
 
 def default_count(nx: int, nz: int) -> int:
-    """K where none is asked for: 15 up to 64 antennas (all of them if there are fewer), 28 beyond."""
-    return min(15, nx * nz) if nx * nz <= 64 else 28
+    """K where none is asked for: 15 up to 64 antennas, 28 beyond, and fewer than antennas where there are several.
+
+    So the shape of an array tells coefficients from a channel.
+    """
+    return min(15 if nx * nz <= 64 else 28, max(nx * nz - 1, 1))
 
 
 def legendre_degrees(nx: int, nz: int, count: int | None = None) -> tuple[tuple[int, int], ...]:

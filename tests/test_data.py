@@ -1,0 +1,109 @@
+"""Samples from a key to a batch: independence of the order, the disk format, interruptions, splits, observing anew."""
+
+import json
+from dataclasses import replace
+
+import jax
+import numpy as np
+import pytest
+
+from august_jax import data
+from august_jax.config import override, preset
+from august_jax.physics import PlanarArray, contrast, sensing_channel
+
+CONFIG = override(preset("smoke"), ["data.count=48", "data.shard_rows=20"])
+
+
+@pytest.fixture(scope="module")
+def targets():
+    return data.prepare_targets(CONFIG)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("data")
+    data.simulate(CONFIG, folder)
+    return folder
+
+
+def test_a_sample_depends_on_its_number_alone(folder, targets):
+    stored = data.Dataset(folder).read(np.array([41, 3]))
+    alone = data.generate(CONFIG, [3], targets)
+    for name, value in alone.items():
+        np.testing.assert_allclose(stored[name][1], value[0], rtol=1e-4, atol=1e-5 * np.abs(value).max(), err_msg=name)
+
+
+def test_the_channel_is_that_of_the_cells_in_that_pose(targets):
+    sample = {name: value[0] for name, value in data.generate(CONFIG, [9], targets).items()}
+    cells = targets[sample["airframe"]].cells
+    chi = contrast(float(sample["permittivity"]), float(sample["conductivity"]), CONFIG.array.frequency_hz)
+    with jax.enable_x64(True):
+        moved = cells.moved(sample["rotation"].astype(float), sample["position"].astype(float))
+        array = PlanarArray(CONFIG.array.nx, CONFIG.array.nz, CONFIG.array.frequency_hz)
+        exact = np.asarray(sensing_channel(array, moved, complex(chi)))
+    channel = np.asarray(data.unpack(sample["channel"]))[0]
+    # Rotations come in float32; the response itself is good to 3e-5.
+    assert np.linalg.norm(channel - exact) < 2e-4 * np.linalg.norm(exact)
+
+
+def test_labels_lie_on_the_airframe_and_are_centred_on_the_position(folder):
+    samples = data.Dataset(folder).read(np.arange(48))
+    assert np.abs(samples["points"].mean(axis=1)).max() < 0.1  # 64 points of a craft 0.2 m about its centroid
+    assert np.linalg.norm(samples["points"], axis=-1).max() < 2.0 * CONFIG.target.half_wheelbase_m
+    miss = np.abs(samples["predicted"] - samples["position"])
+    assert 0.3 < miss.max() <= CONFIG.region.threshold_m * (1 + 1e-5)
+
+
+def test_shards_survive_a_kill_and_parts_make_the_whole(folder, tmp_path):
+    done = data.simulate(CONFIG, tmp_path, part=(2, 2))
+    assert done["written"] == 20 and list(done["shards"]) == ["shard-00001"]
+    (tmp_path / ".shard-00000.part").mkdir()  # what a killed run leaves
+    assert data.simulate(CONFIG, tmp_path)["written"] == 28
+    assert data.simulate(CONFIG, tmp_path)["written"] == 0
+    data.verify(tmp_path)
+    places = np.arange(48)
+    whole, parts = (data.Dataset(each).read(places) for each in (folder, tmp_path))
+    for name in whole:
+        np.testing.assert_array_equal(whole[name], parts[name])
+    (tmp_path / "shard-00001" / "snr_db.npy").write_bytes(b"\x93NUMPY broken")
+    with pytest.raises(data.DataError, match="damaged"):
+        data.verify(tmp_path)
+
+
+def test_other_data_are_not_overwritten(folder):
+    with pytest.raises(data.DataError, match="another configuration"):
+        data.simulate(override(CONFIG, ["data.seed=5"]), folder)
+    with pytest.raises(ValueError, match="1 <= i <= n"):
+        data.simulate(CONFIG, folder, part=(3, 2))
+    with pytest.raises(data.DataError, match="august simulate"):
+        data.Dataset(folder / "nowhere")
+
+
+def test_splits_keep_flights_whole_and_airframes_balanced():
+    config = preset("laptop")
+    flights = np.arange(5000)
+    split = data.split_of(flights, config)
+    assert np.bincount(split).tolist() == [4000, 500, 500]
+    kinds = flights % len(config.target.airframes)
+    assert {tuple(np.bincount(kinds[split == part])) for part in (1, 2)} == {(100,) * 5}
+
+
+def test_batches_follow_from_the_step(folder):
+    dataset = data.Dataset(folder)
+    config = replace(CONFIG, train=replace(CONFIG.train, batch=8))
+    batches = data.TrainingBatches(dataset, config)
+    first, again, other = batches(3), batches(3), batches(4)
+    assert {name: value.shape for name, value in first.items()} == {
+        "channel": (8, 1, 7, 7), "predicted": (8, 3), "snr_db": (8,), "cloud": (8, 64, 5)}
+    np.testing.assert_array_equal(first["channel"], again["channel"])
+    assert not np.allclose(first["predicted"], other["predicted"])
+    stored = data.as_stored(dataset.read(np.arange(4)), config)
+    estimate = dataset.read(np.arange(4))["estimate"]
+    np.testing.assert_array_equal(data.pack(stored["channel"]), estimate)
+    with pytest.raises(data.DataError, match="train.batch"):
+        data.TrainingBatches(dataset, replace(CONFIG, train=replace(CONFIG.train, batch=1000)))
+
+
+def test_the_manifest_is_json_that_says_what_is_there(folder):
+    manifest = json.loads((folder / "manifest.json").read_text())
+    assert manifest["rows"] == 48 and manifest["shards"]["shard-00002"] == [40, 48]
