@@ -235,10 +235,12 @@ def _cell(value: float | None, digits: int) -> str:
 
 
 def _scheme_table(rows: Sequence[dict[str, Any]], snr: bool) -> str:
-    head = ["scheme", *(["SNR [dB]"] if snr else []), "MPE [m]", "MDE", "WD [dB]", "MCD [dB]", *(["bound [m]"] if snr else [])]
-    body = [[row["scheme"], *([_cell(row["snr_db"], 0)] if snr else []), _cell(row["mpe_m"], 3), _cell(row["mde"], 4),
-             _cell(row["wd_db"], 1), _cell(row["mcd_db"], 1), *([_cell(row["bound_m"], 3)] if snr else [])] for row in rows]
-    return _table([head, *body])
+    """Rows of metrics as text; with ``snr``, each with its SNR and the bound."""
+    columns = [("MPE [m]", "mpe_m", 3), ("MDE", "mde", 4), ("WD [dB]", "wd_db", 1), ("MCD [dB]", "mcd_db", 1)]
+    if snr:
+        columns = [("SNR [dB]", "snr_db", 0), *columns, ("bound [m]", "bound_m", 3)]
+    return _table([["scheme", *(title for title, _, _ in columns)],
+                   *([row["scheme"], *(_cell(row[name], digits) for _, name, digits in columns)] for row in rows)])
 
 
 # ---- doctor -----------------------------------------------------------------------------------------------------
@@ -292,9 +294,9 @@ def _demo(args: argparse.Namespace) -> dict[str, Any]:
 def _reconstruct_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--mesh", required=True, metavar="FILE", help="OBJ, STL, PLY, GLB, or DAE with the extra [dae]")
     parser.add_argument("--unit", default="m", help="of the file: m, cm, mm, in, ft, or metres a unit (default m)")
-    parser.add_argument("--up", default="z", metavar="AXIS", help="the file's axis that points up (default z)")
-    parser.add_argument("--forward", default="x", metavar="AXIS", help="the file's axis that points forward (default x)")
-    parser.add_argument("--half-wheelbase", type=_number, metavar="M", help="scale the drone to this half-wheelbase [m]")
+    parser.add_argument("--up", default="z", metavar="AXIS", help="the file's upward axis (default z)")
+    parser.add_argument("--forward", default="x", metavar="AXIS", help="the file's forward axis (default x)")
+    parser.add_argument("--half-wheelbase", type=_number, metavar="M", help="scale to this half-wheelbase [m]")
     parser.add_argument("--position", type=_numbers(3), metavar="X,Y,Z", help="[m] (default: the flight box's centre)")
     for angle in ("yaw", "pitch", "roll"):
         parser.add_argument(f"--{angle}", type=_number, default=0.0, metavar="DEG", help="[deg] (default 0)")
@@ -342,7 +344,8 @@ def _sense(args, command: str, networks, config: Config, shot, started: float, f
     title = f"{shot.airframe.name} at {args.snr:g} dB, seen by {config.array.count} antennas"
     setup = [
         ("weights", networks.name),
-        ("array", f"{config.array.nx} x {config.array.nz} at {', '.join(f'{f / 1e9:g}' for f in config.array.frequencies_hz)} GHz"),
+        ("array", f"{config.array.nx} x {config.array.nz} at "
+                  f"{', '.join(f'{tone / 1e9:g}' for tone in config.array.frequencies_hz)} GHz"),
         ("drone", f"{shot.airframe.name}, half-wheelbase {shot.airframe.half_wheelbase_m:.3f} m"),
         ("material", f"permittivity {track.permittivity:.2f}, conductivity {1e3 * track.conductivity:.2f} mS/m"),
         ("channel", f"full-wave ({config.data.solver}), {config.signal.estimator} estimate"),
@@ -386,7 +389,8 @@ def _simulate(args: argparse.Namespace) -> dict[str, Any]:
     manifest = simulate(config, out, part=args.shard, report=_note)
     done = manifest["rows"] >= manifest["wanted"]
     _say(args, f"{manifest['written']} samples written in {manifest['seconds']:.0f} s "
-               f"({manifest['samples_per_s']:.1f} samples/s); {out}/ now holds {manifest['rows']} of {manifest['wanted']}")
+               f"({manifest['samples_per_s']:.1f} samples/s); {out}/ now holds {manifest['rows']} of "
+               f"{manifest['wanted']}")
     _say(args, f"next:  august train --preset {config.preset} --data {out}" if done else
          "next:  the other parts, with --shard, or the same command without it")
     return {"out": str(out), "digest": manifest["digest"],
@@ -471,7 +475,8 @@ def _export_arguments(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(places=1)
     parser.usage = f"{parser.prog} SOURCE --format FORMAT [options]"
     parser.add_argument("--format", required=True, metavar="FORMAT", help="ply, npz, mat or json")
-    parser.add_argument("--index", type=int, default=-1, metavar="N", help="slot of a run, or sample of a data set (default: the last)")
+    parser.add_argument("--index", type=int, default=-1, metavar="N",
+                        help="slot of a result, or sample of a data set (default: the last)")
 
 
 def _export(args: argparse.Namespace) -> dict[str, Any]:

@@ -97,7 +97,8 @@ def _cache() -> tuple[bool, str]:
 def _weights() -> tuple[bool, str]:
     from august_jax.pipeline import SHIPPED
 
-    missing = [name for name in ("weights.npz", "config.yaml", "card.json", "card.md") if not (SHIPPED / name).is_file()]
+    wanted = ("weights.npz", "config.yaml", "card.json", "card.md")
+    missing = [name for name in wanted if not (SHIPPED / name).is_file()]
     if missing:
         return False, f"missing in {SHIPPED}: {', '.join(missing)}; install the package again"
     return True, f"laptop, {(SHIPPED / 'weights.npz').stat().st_size / 1024**2:.1f} MiB in {SHIPPED}"

@@ -145,13 +145,15 @@ def score(answer: Mapping[str, Any], truth: Mapping[str, Any]) -> dict[str, floa
     A cloud without a position of its own is one about q_pre, given as ``about``.
     """
     place = answer.get("position", answer.get("about"))
-    values = {
-        "mpe_m": metrics.mpe_m(answer["position"], truth["position"]) if "position" in answer else None,
-        "mde": metrics.mde(answer["normal"], truth["normal"]) if "normal" in answer else None,
-        "wd_db": metrics.wd_db(answer["cloud"], truth["cloud"], place, truth["position"]) if "cloud" in answer else None,
-        "mcd_db": metrics.mcd_db(answer["cloud"], truth["cloud"]) if "cloud" in answer else None,
-    }
-    return {name: None if value is None else float(value) for name, value in values.items()}
+    values: dict[str, float | None] = dict.fromkeys(("mpe_m", "mde", "wd_db", "mcd_db"))
+    if "position" in answer:
+        values["mpe_m"] = float(metrics.mpe_m(answer["position"], truth["position"]))
+    if "normal" in answer:
+        values["mde"] = float(metrics.mde(answer["normal"], truth["normal"]))
+    if "cloud" in answer:
+        values["wd_db"] = float(metrics.wd_db(answer["cloud"], truth["cloud"], place, truth["position"]))
+        values["mcd_db"] = float(metrics.mcd_db(answer["cloud"], truth["cloud"]))
+    return values
 
 
 def baselines(predicted, mean, again, key: jax.Array) -> dict[str, dict[str, Any]]:
@@ -235,12 +237,15 @@ def score_track(track: Track, config: Config) -> dict[str, Any]:
 
 
 def validator(dataset: Dataset, config: Config, count: int = 256) -> Callable[..., dict[str, float]] | None:
-    """A function (graphdef, state, step) -> position error on validation samples, beside that of q_pre; None without any.
+    """A function (graphdef, state, step) -> position error on validation samples, beside that of q_pre.
 
     Args:
         dataset: where they come from; the first ``count`` of them are used, observed alike at every call.
         config: of the training run.
         count: how many at most.
+
+    Returns:
+        The function, or None where the data hold no validation samples.
     """
     places = dataset.rows("validation")
     if not len(places):
@@ -266,7 +271,8 @@ def validator(dataset: Dataset, config: Config, count: int = 256) -> Callable[..
     return validate
 
 
-def _resampled(key: jax.Array, samples: Mapping[str, np.ndarray], airframes: Sequence[Airframe], count: int) -> jax.Array:
+def _resampled(key: jax.Array, samples: Mapping[str, np.ndarray], airframes: Sequence[Airframe],
+               count: int) -> jax.Array:
     """The true clouds in the world (B, count, 3) [m], drawn a second time."""
     bodies = jnp.stack([airframe.sample_surface(jax.random.fold_in(key, row), count)
                         for row, airframe in enumerate(airframes[index] for index in samples["airframe"])])

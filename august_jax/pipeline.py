@@ -122,7 +122,8 @@ def load_networks(run: str | Path | None = None) -> Networks:
     files = folder / "config.yaml", folder / "weights.npz"
     for path in files:
         if not path.is_file():
-            raise ValueError(f"{path}: no such file; give a run that august train wrote, or none for the shipped weights")
+            raise ValueError(f"{path}: no such file; give a run that august train wrote, or none for the shipped "
+                             "weights")
     config = configuration.from_yaml(files[0].read_text(encoding="utf-8"))
     graphdef, state = load_weights(files[1], config)
     return Networks("shipped laptop weights" if run is None else str(run), config, graphdef, state)

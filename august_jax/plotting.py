@@ -131,9 +131,9 @@ def evaluation_curves(rows: Sequence[Mapping[str, Any]], png: str | Path, *, tit
     for index, (metric, label, logarithmic) in enumerate(panels):
         axes = figure.add_subplot(2, 2, index + 1)
         for scheme in schemes:
-            pairs = [(row["snr_db"], row[metric]) for row in rows if row["scheme"] == scheme and row[metric] is not None]
+            pairs = {row["snr_db"]: row[metric] for row in rows if row["scheme"] == scheme and row[metric] is not None}
             if pairs:
-                axes.plot(*np.array(sorted(pairs)).T, label=LABELS.get(scheme, scheme),
+                axes.plot(*np.array(sorted(pairs.items())).T, label=LABELS.get(scheme, scheme),
                           **{"lw": 1.6, **STYLES.get(scheme, {"marker": "s", "ms": 4})})
         if metric == "mpe_m":
             bound = sorted({(row["snr_db"], row["bound_m"]) for row in rows if row["bound_m"] is not None})
@@ -166,7 +166,7 @@ def _tidy(axes: Axes) -> None:
 
 
 def _plain_box(axes: Axes, reach: float) -> None:
-    step = next((each for each in (0.1, 0.2, 0.5) if 1.7 * each > reach), 1.0)
+    step = next((each for each in (0.1, 0.2, 0.3, 0.5) if 1.7 * each > reach), 1.0)
     for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
         axis.set_pane_color((0.965, 0.973, 0.976, 1.0))
         axis.line.set_color(LINE)

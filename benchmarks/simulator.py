@@ -3,8 +3,8 @@
     python benchmarks/simulator.py --json simulator.json
 
 Prints a table and writes JSON: for each airframe-like body, the time of one channel through ``sensing_channel``
-("mom": jitted assembly and ``jnp.linalg.solve`` in complex64), the time of one channel of a batch through
-``body_channel``, their ratio, and the error of both against the same solve in complex128. The two are timed in turn, and
+("mom": jitted assembly and ``jnp.linalg.solve`` in complex64), the time of one channel of a batch
+through ``body_channel``, their ratio, and the error of both against the same solve in complex128. The two are timed in turn, and
 the medians are compared. About 4 minutes on two cores for the default size, most of it factoring.
 """
 
@@ -94,7 +94,8 @@ def main() -> None:
         for distance in args.distance:
             row = measure(name, args.cell_mm / 1e3, distance, args.batch, args.repeats)
             rows.append(row)
-            print(f"{name:12s}  {row['cells']:5d}  {distance:9.0f}  {1e3 * row['dense_s']:10.0f}  {1e3 * row['factored_s']:13.2f}"
+            print(f"{name:12s}  {row['cells']:5d}  {distance:9.0f}  {1e3 * row['dense_s']:10.0f}"
+                  f"  {1e3 * row['factored_s']:13.2f}"
                   f"  {row['ratio']:6.0f}  {row['dense_error']:11.1e}  {row['factored_error']:14.1e}", flush=True)
     if args.json:
         args.json.write_text(json.dumps({"machine": about, "rows": rows}, indent=1))

@@ -44,8 +44,9 @@ def modules():
 def imports(path, name):
     """Absolute dotted names of everything a module imports for use, at its top or inside a function."""
     tree = ast.parse(path.read_text())
-    skipped = {inner for node in ast.walk(tree) if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)
-               for inner in ast.walk(node)}
+    typing_only = [node for node in ast.walk(tree)
+                   if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)]
+    skipped = {inner for node in typing_only for inner in ast.walk(node)}
     for node in ast.walk(tree):
         if node in skipped:
             continue

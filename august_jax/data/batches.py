@@ -135,5 +135,5 @@ def observed_anew(key: jax.Array, samples: Sample, config: Config, snr_db: jax.A
 
 
 def _cloud(samples, predicted, config: Config) -> jax.Array:
-    return to_cloud(samples["points"] , samples["position"], predicted, samples["permittivity"],
+    return to_cloud(samples["points"], samples["position"], predicted, samples["permittivity"],
                     samples["conductivity"], config.region)

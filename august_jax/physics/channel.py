@@ -46,8 +46,8 @@ def sensing_channel(
         frequencies_hz: F tones [Hz]; None means the array's own frequency and no tone axis.
 
     Returns:
-        (N_b, N_b), or (F, N_b, N_b); complex, symmetric, of the precision of ``cells``. Differentiable in positions and
-        contrast; ``jax.vmap`` makes batches.
+        H [1/m] (N_b, N_b), or (F, N_b, N_b); complex, symmetric, of the precision of ``cells``. Differentiable in
+        positions and contrast; ``jax.vmap`` makes batches.
 
     Raises:
         ValueError: unknown solver, mismatched shapes, malformed cells, or an antenna within a cell.
@@ -67,7 +67,8 @@ def sensing_channel(
     if np.ndim(contrast) == 2:
         if np.shape(contrast)[0] != len(tones) or np.shape(contrast)[1] not in (1, count):
             raise ValueError(
-                f"contrast: got shape {np.shape(contrast)}; give ({len(tones)}, 1) or ({len(tones)}, {count}) for these tones"
+                f"contrast: got shape {np.shape(contrast)}; give ({len(tones)}, 1) or ({len(tones)}, {count}) for these "
+                "tones"
             )
         rows = [contrast[tone] if np.shape(contrast)[1] == count else contrast[tone, 0] for tone in range(len(tones))]
     else:

@@ -102,7 +102,7 @@ def factor_body(
         cache: keep the result in :func:`cache_folder` under a hash of all that it depends on.
 
     Returns:
-        A :class:`Body`. About 20 s for 1000 cells on two cores; the time grows with the cube of the cells.
+        A :class:`Body`. One to two minutes for 1000 cells on two cores; the time grows with the cube of the cells.
 
     Raises:
         ValueError: malformed cells, a frequency that is not positive, or ``nearest_m`` inside the body.
@@ -119,9 +119,8 @@ def factor_body(
             f"nearest_m: {nearest_m:g} m is no farther than the body's own radius, {radius:.3g} m, and a margin of 20 %"
         )
     factors = [_cached(plain, tone, float(nearest_m), cache) for tone in tones]
-    modes, columns, points = (
-        max(factor[name].shape[axis] for factor in factors) for name, axis in (("weights", 1), ("rows", 0), ("points", 0))
-    )
+    sizes = (("weights", 1), ("rows", 0), ("points", 0))
+    modes, columns, points = (max(factor[name].shape[axis] for factor in factors) for name, axis in sizes)
 
     def padded(name, *shape):
         return np.stack([
@@ -155,8 +154,8 @@ def body_channel(
         contrast: chi, scalar; with several tones also (F,).
 
     Returns:
-        H (N_b, N_b), or (F, N_b, N_b) for a body of several tones; complex64 [1/m^2 times m], symmetric. Differentiable
-        in rotation, translation and contrast; ``jax.vmap`` over them makes batches.
+        H [1/m] (N_b, N_b), or (F, N_b, N_b) for a body of several tones; complex64, symmetric. Differentiable in
+        rotation, translation and contrast; ``jax.vmap`` over them makes batches.
 
     Raises:
         ValueError: mismatched shapes, or a body nearer than ``body.nearest_m`` to an antenna.

@@ -10,9 +10,11 @@ import math
 import numpy as np
 import pytest
 
-from august_jax import cli
+from august_jax import cli, pipeline
+from august_jax.data import Dataset, unpack
+from august_jax.scene import procedural_airframe, resolve_airframe
 
-SMALL = ["target.airframes=[quad_x]", "data.count=32", "data.shard_rows=16", "flight.slots=4", "train.steps=4",
+SMALL = ["target.airframes=[quad_x]", "data.count=40", "data.shard_rows=20", "flight.slots=4", "train.steps=4",
          "train.save_every=4", "train.log_every=2"]
 
 
@@ -42,7 +44,7 @@ def refused(capsys, *words):
 
 def test_simulate_has_nothing_left_to_do(capsys, home):
     result = call(capsys, "simulate", "--preset", "smoke", "--out", home / "data", *SMALL)
-    assert (result["rows"], result["written"]) == (32, 0)
+    assert (result["rows"], result["written"]) == (40, 0)
 
 
 def test_simulate_keeps_off_other_data(capsys, home):
@@ -56,6 +58,8 @@ def test_train_leaves_a_run(home):
     lines = [json.loads(line) for line in (home / "run" / "metrics.jsonl").read_text().splitlines()]
     assert [line["step"] for line in lines] == [2, 4]
     assert all(math.isfinite(value) for line in lines for value in line.values())
+    # the ninth of ten flights is for validation; its predictions miss by less than the cube's half diagonal
+    assert 0.0 < lines[-1]["validation_prior_m"] < 0.5 * math.sqrt(3.0)
 
 
 @pytest.mark.parametrize("extra, wanted", [
@@ -81,7 +85,7 @@ def test_evaluate_rows(capsys, home):
     assert len(defined["august"]) == len(defined["resampling"]) == 4
     for row in rows.values():
         assert (row["snr_db"], row["count"]) == (20.0, 4)
-    # the floor lies below what knows only the prediction, and the prediction misses by less than the box's half diagonal
+    # the floor lies below what knows only the prediction; the prediction misses by at most the cube's half diagonal
     assert rows["resampling"]["wd_db"] < rows["mean_shape"]["wd_db"]
     assert rows["resampling"]["mpe_m"] < rows["prior"]["mpe_m"] < 0.5 * math.sqrt(3.0)
     assert json.loads((home / "evaluation" / "evaluation.json").read_text())["rows"] == result["rows"]
@@ -108,8 +112,8 @@ def test_demo_leaves_a_report_and_numbers_that_agree(flown):
     assert len(found["slots"]) == 3
     schemes = {row["scheme"]: row for row in found["schemes"]}
     # a mean over slots in float32 against the same in float64
-    assert schemes["august"]["mpe_m"] == pytest.approx(np.mean([s["position_error_m"] for s in found["slots"]]), rel=1e-4)
-    assert schemes["prior"]["mpe_m"] == pytest.approx(np.mean([s["predicted_error_m"] for s in found["slots"]]), rel=1e-4)
+    for scheme, error in (("august", "position_error_m"), ("prior", "predicted_error_m")):
+        assert schemes[scheme]["mpe_m"] == pytest.approx(np.mean([slot[error] for slot in found["slots"]]), rel=1e-4)
     with np.load(flown / "clouds.npz") as track:
         np.testing.assert_allclose(track["points"].mean(axis=1), [s["estimate"] for s in found["slots"]], atol=1e-5)
         # the first prediction is drawn within the threshold, as the report says
@@ -128,14 +132,23 @@ def test_export_of_a_sample_is_the_sample(capsys, home, tmp_path):
     with np.load(result["files"][0]) as record:
         assert record["slot"] == 3 and record["flight"] == 1
         np.testing.assert_array_equal(record["channel"], record["channel"].swapaxes(-1, -2))
-    assert "--index: 32 is out of range" in refused(capsys, "export", home / "data", "--format", "npz", "--index", 32)
+    assert "--index: 40 is out of range" in refused(capsys, "export", home / "data", "--format", "npz", "--index", 40)
+
+
+def test_a_flight_meets_the_channels_that_the_data_hold(home):
+    dataset = Dataset(home / "data")
+    rows = dataset.read(np.arange(4))
+    airframe = resolve_airframe("quad_x", dataset.config.target.half_wheelbase_m)
+    channels = pipeline.channels_along(airframe, dataset.config, rows["rotation"], rows["position"],
+                                       rows["permittivity"][0], rows["conductivity"][0])
+    # the same factored body in single precision, compiled apart
+    for channel, stored in zip(np.asarray(channels), unpack(rows["channel"])):
+        assert np.linalg.norm(channel - stored) < 1e-4 * np.linalg.norm(stored)
 
 
 @pytest.fixture(scope="module")
 def mesh(tmp_path_factory):
     """A drone in a file of its own, in millimetres."""
-    from august_jax.scene import procedural_airframe
-
     craft = procedural_airframe("quad_x", 0.25).mesh.copy()
     craft.apply_scale(1000.0)
     path = tmp_path_factory.mktemp("mesh") / "mine.stl"
@@ -144,13 +157,14 @@ def mesh(tmp_path_factory):
 
 
 def test_reconstruct_a_drone_from_a_file(capsys, home, mesh, tmp_path):
-    result = call(capsys, "reconstruct", "--mesh", mesh, "--unit", "mm", "--half-wheelbase", 0.25, "--run", home / "run",
-                  "--out", tmp_path / "mine", "--position", "4,5,3", "--pitch", -10)
+    result = call(capsys, "reconstruct", "--mesh", mesh, "--unit", "mm", "--half-wheelbase", 0.25, "--run",
+                  home / "run", "--out", tmp_path / "mine", "--position", "4,5,3", "--pitch", -10)
     assert {path.name for path in (tmp_path / "mine").iterdir()} == FILES | {"reconstruct.png"}
     slot, = result["slots"]
     np.testing.assert_allclose(slot["position"], [4.0, 5.0, 3.0])
     # nose up by 10 degrees: the normal leans back
-    np.testing.assert_allclose(slot["normal"], [-math.sin(math.radians(10)), 0.0, math.cos(math.radians(10))], atol=1e-6)
+    lean = math.radians(10)
+    np.testing.assert_allclose(slot["normal"], [-math.sin(lean), 0.0, math.cos(lean)], atol=1e-6)
 
 
 @pytest.mark.parametrize("extra, wanted", [

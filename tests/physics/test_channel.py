@@ -86,7 +86,9 @@ def test_weak_contrast_is_born():
 
 def test_local_field_born_is_born_times_the_lorentz_factor():
     cells = placed(cross(fill=1.0))
-    local, first = (np.asarray(sensing_channel(ARRAY, cells, CHI, solver=name)) for name in ("local_field_born", "born"))
+    local, first = (
+        np.asarray(sensing_channel(ARRAY, cells, CHI, solver=name)) for name in ("local_field_born", "born")
+    )
     np.testing.assert_allclose(local, first * 3 / (3 + CHI), rtol=2e-5)
 
 
