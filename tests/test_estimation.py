@@ -173,7 +173,7 @@ def test_region_estimate_against_a_slow_bayesian_twin():
     amplitudes = prior * (echoes.conj().T @ np.linalg.solve(covariance, received.ravel()))
     slow = np.tensordot(amplitudes, np.array(atoms), 1)
     region = estimation.Region(jnp.asarray(predicted, jnp.float32), half, array.positions, array.wavenumber,
-                               roi.legendre_basis(4, 2))
+                               roi.legendre_basis(4, 2, 8))
     fast = estimation.lmmse_roi(jnp.asarray(received, jnp.complex64), jnp.asarray(sent, jnp.complex64), 1.0, region)
     # All eight functions of a 4 x 2 array: no truncation; float32 solve of condition number 1e4.
     np.testing.assert_allclose(fast.channel, slow, atol=2e-3 * np.abs(slow).max())

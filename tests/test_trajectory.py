@@ -11,7 +11,7 @@ from august_jax.constants import GRAVITY
 from august_jax.scene.pose import tilt
 from august_jax.scene.trajectory import Flight, draw_flight, fly, fly_many
 
-LAPTOP = preset("laptop").flight
+LAPTOP = replace(preset("laptop").flight, slots=50)
 STYLES = ("smooth", "dynamic", "jump")
 LIMITS = {"smooth": (5.0, 3.0), "dynamic": (10.0, 5.66), "jump": (10.0, None)}
 
