@@ -18,6 +18,7 @@ import re
 import sys
 import textwrap
 import time
+import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -63,9 +64,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         args = _parse(argv)
         if args is None:
             return 0
-        result = _COMMANDS[args.command].run(args)
+        with warnings.catch_warnings():
+            warnings.showwarning = lambda message, *_: _note(f"august: note: {message}")
+            result = _COMMANDS[args.command].run(args)
         if args.json:
             print(json.dumps(result, allow_nan=False))
+        if result.get("failed"):
+            print(f"august: {result['failed']}", file=sys.stderr)
+            return 2
         return 0
     except KeyboardInterrupt:
         print("august: interrupted; finished files are kept, nothing is half-written", file=sys.stderr)
@@ -261,7 +267,7 @@ def _doctor(args: argparse.Namespace) -> dict[str, Any]:
     if not failed:
         _say(args, "all is well; next: august demo")
     return {"checks": [check._asdict() for check in checks],
-            "failed": f"doctor: {', '.join(failed)} failed; the lines above say why" if failed else None}
+            "failed": f"failed: {', '.join(failed)}; august doctor says why" if failed else None}
 
 
 # ---- demo and reconstruct ---------------------------------------------------------------------------------------
