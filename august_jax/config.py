@@ -169,7 +169,7 @@ class TrainConfig:
     weight_material: float = 0.1
     weight_latent: float = 1e-4
     weight_readout: float = 0.0
-    """Weight of a linear reading of the cloud's mean from the latent; not in the paper, 0 leaves it out."""
+    """Weight of a linear reading of the cloud's moments from the latent; not in the paper, 0 leaves it out."""
     ema: float = 0.999
     """Decay of the parameters' moving average, which is what is evaluated."""
     seed: int = 0

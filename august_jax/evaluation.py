@@ -61,8 +61,8 @@ def evaluate(networks: Networks, config: Config, *, seed: int,
 
     All SNRs share the samples, their predictions and the draws of the noise, so that only the SNR makes a difference.
 
-    ``bound_m`` is the mean position error that the Fisher information of the first 100 samples leaves to any unbiased
-    estimator that knows the airframe but not the complex gain (:mod:`august_jax.physics.information`).
+    ``bound_m`` is the mean position error that the Fisher information of the first 100 samples leaves to an
+    estimator that knows the airframe but not the complex gain, under a Gaussian prior of the configuration's spread (:mod:`august_jax.physics.information`).
 
     Returns:
         For each SNR and scheme a row ``scheme``, ``snr_db``, ``mpe_m`` [m], ``mde``, ``wd_db``, ``mcd_db`` [dB re

@@ -154,7 +154,8 @@ def _write_manifest(folder: Path, config: Config, digest: str) -> dict:
             shards[shard.name] = meta["rows"]
     manifest = {
         "format": 1, "digest": digest, "preset": config.preset,
-        "rows": sum(high - low for low, high in shards.values()), "wanted": config.data.count, "airframes": list(config.target.airframes), "shards": shards,
+        "rows": sum(high - low for low, high in shards.values()), "wanted": config.data.count,
+        "airframes": list(config.target.airframes), "shards": shards,
     }
     _write_text(folder / "config.yaml", to_yaml(config))
     _write_text(folder / "manifest.json", json.dumps(manifest, indent=1))
