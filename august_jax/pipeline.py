@@ -247,8 +247,9 @@ def sense(networks: Networks, config: Config, scenario: Scenario, *, seed: int, 
           progress: Callable[[str], None] = lambda line: None) -> Track:
     """Simulate the echo of every slot and reconstruct the craft from it.
 
-    The first predicted position misses the true one uniformly within ``region.threshold_m`` along each axis, as a
-    detection would; from then on a Kalman filter over the estimates predicts.
+    In the first three slots the predicted position misses the true one uniformly within ``region.threshold_m`` along
+    each axis, as a detection would: speed and acceleration are not known before. From then on a Kalman filter over
+    the estimates predicts.
 
     Args:
         networks: what reconstructs.
@@ -264,9 +265,9 @@ def sense(networks: Networks, config: Config, scenario: Scenario, *, seed: int, 
                               scenario.conductivity)
     progress("estimating the channels and reconstructing the clouds")
     threshold = config.region.threshold_m
-    first = jnp.asarray(scenario.positions[0], jnp.float32) + jax.random.uniform(
-        start_key, (3,), minval=-threshold, maxval=threshold)
-    seen = _follow(networks.graphdef, networks.state, slot_key, channels, first, config, snr_db)
+    detected = jnp.asarray(scenario.positions, jnp.float32) + jax.random.uniform(
+        start_key, scenario.positions.shape, minval=-threshold, maxval=threshold)
+    seen = _follow(networks.graphdef, networks.state, slot_key, channels, detected, config, snr_db)
 
     def surface(key):
         body = np.asarray(scenario.airframe.sample_surface(key, config.target.points), np.float64)
@@ -288,16 +289,19 @@ _JERK_DENSITY = {"smooth": 1.0, "dynamic": 90.0, "jump": 90.0}
 """Of the filter [m^2/s^5], by style of flight: 2 sigma_a^2 / tau of the flights."""
 _ESTIMATE_NOISE_M = 0.1
 """Standard deviation that the filter expects of an estimated position [m]."""
+_DETECTED_SLOTS = 3
+"""Slots whose predicted position comes from detection: a position, a speed and an acceleration take three."""
 
 
 @partial(jax.jit, static_argnames=("graphdef", "config"))
-def _follow(graphdef, state, key, channels, first, config: Config, snr_db):
+def _follow(graphdef, state, key, channels, detected, config: Config, snr_db):
     """Slot after slot: echo, estimate, cloud, position, next prediction."""
     evaluate, flight = config.evaluate, config.flight
     look = observe_roi if config.model.encoder == "roi" else observe
 
-    def slot(carry, channel):
-        number, predicted, belief = carry
+    def slot(belief, now):
+        number, channel, detection = now
+        predicted = jnp.where(number < _DETECTED_SLOTS, detection, belief.mean[0])
         echo_key, cloud_key, normal_key = jax.random.split(jax.random.fold_in(key, number), 3)
         seen = look(echo_key, channel, predicted, array=config.array, signal=config.signal, region=config.region,
                     snr_db=snr_db)
@@ -313,10 +317,10 @@ def _follow(graphdef, state, key, channels, first, config: Config, snr_db):
         out = {"predicted": predicted, "snr_db": seen.snr_db, "points": reading.points,
                "point_permittivity": reading.permittivity, "point_conductivity": reading.conductivity,
                "normal_estimate": normal}
-        return (number + 1, belief.mean[0], belief), out
+        return belief, out
 
-    begin = (jnp.zeros((), jnp.int32), first, kalman_start(first, noise_m=_ESTIMATE_NOISE_M))
-    return jax.lax.scan(slot, begin, channels)[1]
+    numbers = jnp.arange(channels.shape[0])
+    return jax.lax.scan(slot, kalman_start(detected[0], noise_m=_ESTIMATE_NOISE_M), (numbers, channels, detected))[1]
 
 
 def rotor_plane_normal(key: jax.Array, points: jax.Array) -> jax.Array:

@@ -54,7 +54,7 @@ def training_curves(metrics_jsonl: str | Path, png: str | Path) -> None:
     if not names:
         raise ValueError(f"metrics_jsonl: {metrics_jsonl} holds no loss terms; train for at least one logged step")
     columns = min(3, len(names))
-    figure = _figure(4.2 * columns, 2.9 * -(-len(names) // columns))
+    figure = new_figure(4.2 * columns, 2.9 * -(-len(names) // columns))
     for index, name in enumerate(names):
         axes = figure.add_subplot(-(-len(names) // columns), columns, index + 1)
         pairs = [(line["step"], line[name]) for line in lines if line.get(name) is not None]
@@ -69,7 +69,7 @@ def training_curves(metrics_jsonl: str | Path, png: str | Path) -> None:
         axes.set_title(name, loc="left")
         axes.set_xlabel("step")
         _tidy(axes)
-    _save(figure, png)
+    save(figure, png)
 
 
 def clouds(track: Track, png: str | Path, *, permittivity: tuple[float, float], title: str, slots: int = 4) -> None:
@@ -85,7 +85,7 @@ def clouds(track: Track, png: str | Path, *, permittivity: tuple[float, float], 
     total = len(track.time_s)
     shown = np.unique(np.linspace(total - 1, 0, min(slots, total)).round().astype(int))
     rows, columns = (2, len(shown)) if len(shown) > 1 else (1, 2)
-    figure = _figure(3.5 * columns + 1.1, 3.6 * rows)
+    figure = new_figure(3.5 * columns + 1.1, 3.6 * rows)
     reach = float(np.quantile(np.linalg.norm(track.truth - track.position[:, None], axis=-1), 0.999)) * 1.02
     bearing = track.position[-1]
     azimuth = float(np.degrees(np.arctan2(-bearing[1], -bearing[0]))) + 30.0  # seen from beside the base station
@@ -113,7 +113,7 @@ def clouds(track: Track, png: str | Path, *, permittivity: tuple[float, float], 
     bar = figure.colorbar(drawn, ax=panels, shrink=0.5, pad=0.02, aspect=28)
     bar.set_label("relative permittivity")
     bar.outline.set_visible(False)
-    _save(figure, png)
+    save(figure, png)
 
 
 def evaluation_curves(rows: Sequence[Mapping[str, Any]], png: str | Path, *, title: str) -> None:
@@ -126,7 +126,7 @@ def evaluation_curves(rows: Sequence[Mapping[str, Any]], png: str | Path, *, tit
     """
     panels = (("mpe_m", "position error [m]", True), ("mde", "direction error 1 − cos", True),
               ("wd_db", "weighted distance [dB]", False), ("mcd_db", "Chamfer distance [dB]", False))
-    figure = _figure(11.0, 7.4)
+    figure = new_figure(11.0, 7.4)
     schemes = list(dict.fromkeys(row["scheme"] for row in rows))
     for index, (metric, label, logarithmic) in enumerate(panels):
         axes = figure.add_subplot(2, 2, index + 1)
@@ -148,10 +148,11 @@ def evaluation_curves(rows: Sequence[Mapping[str, Any]], png: str | Path, *, tit
     named = {label: line for axes in figure.axes for line, label in zip(*axes.get_legend_handles_labels())}
     figure.legend(named.values(), named.keys(), loc="outside lower left", ncols=3, frameon=False, fontsize=9)
     figure.suptitle(title, x=0.01, ha="left", fontsize=12, fontweight="bold")
-    _save(figure, png)
+    save(figure, png)
 
 
-def _figure(width: float, height: float) -> Figure:
+def new_figure(width: float, height: float) -> Figure:
+    """An empty figure of the given size [inch] that belongs to no window."""
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width, height), layout="constrained", facecolor="white")
@@ -175,6 +176,7 @@ def _plain_box(axes: Axes, reach: float) -> None:
     axes.tick_params(colors=SOFT, labelsize=7, pad=-2)
 
 
-def _save(figure: Figure, png: str | Path) -> None:
+def save(figure: Figure, png: str | Path) -> None:
+    """Write the figure as PNG; the file appears whole or not at all."""
     with replacing(png) as aside:
         figure.savefig(aside, format="png", dpi=130)

@@ -5,3 +5,5 @@ import tempfile
 
 os.environ.setdefault("AUGUST_CACHE", tempfile.mkdtemp(prefix="august-cache-"))
 os.environ.setdefault("MPLBACKEND", "Agg")
+# Most of the suite's time is compilation; code that runs once need not be fast.
+os.environ["XLA_FLAGS"] = os.environ.get("XLA_FLAGS", "") + " --xla_backend_optimization_level=0"

@@ -18,12 +18,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from august_jax.config import Config
-from august_jax.physics import Body, Cells, PlanarArray, body_channel, contrast, factor_body, sensing_channel
+from august_jax.physics import Body, Cells, PlanarArray, alike, body_channel, contrast, factor_body, sensing_channel
 from august_jax.scene.airframes import Airframe, resolve_airframe, sample_triangles
 from august_jax.scene.trajectory import fly_many
 from august_jax.signal.estimation import observe
 
 _BATCH = 64
+_UNEVEN = 1.4
+"""Bodies are padded to one shape, to compile once, unless the largest is this many times the mean."""
 
 Sample = dict[str, np.ndarray]
 
@@ -37,12 +39,14 @@ class Target:
         cells: its cells, in the body frame.
         cell_m: the edge of the lattice that was used [m].
         body: its factored response; None where the solver needs none.
+        surface: triangles (T, 3, 3) [m] and cumulative areas (T,) [m^2], float32, padded to one T for the set.
     """
 
     airframe: Airframe
     cells: Cells
     cell_m: float
     body: Body | None
+    surface: tuple[np.ndarray, np.ndarray]
 
 
 def nearest_distance(config: Config) -> float:
@@ -64,18 +68,26 @@ def nearest_distance(config: Config) -> float:
 def prepare_targets(config: Config, report: Callable[[str], None] = lambda line: None) -> list[Target]:
     """Airframes, lattices and, for ``mom``, factored bodies (minutes for the first time, then from the cache)."""
     target, nearest = config.target, nearest_distance(config)
-    prepared = []
+    airframes, lattices, bodies = [], [], []
     for name in target.airframes:
         airframe = resolve_airframe(name, target.half_wheelbase_m)
         cell_m = airframe.cell_size_for(target.max_cells, target.cell_m, target.skin_m)
         cells = airframe.cells(cell_m, target.skin_m)
         report(f"{airframe.name}: {cells.count} cells of {1e3 * cell_m:.3g} mm")
-        body = None
         if config.data.solver == "mom":
-            tones = config.array.tones_hz or config.array.frequency_hz
-            body = factor_body(cells, tones, nearest_m=nearest)
-        prepared.append(Target(airframe, cells, cell_m, body))
-    return prepared
+            bodies.append(factor_body(cells, config.array.tones_hz or config.array.frequency_hz, nearest_m=nearest))
+        airframes.append(airframe)
+        lattices.append((cells, cell_m))
+    sizes = [np.prod(body.weights.shape) for body in bodies]
+    if bodies and max(sizes) < _UNEVEN * np.mean(sizes):
+        bodies = alike(bodies)
+    bodies = bodies or [None] * len(airframes)
+    most = max(len(airframe.surface[0]) for airframe in airframes)
+    # Repeating the last triangle adds no area: it is never chosen.
+    surfaces = [tuple(np.pad(part, [(0, most - len(part))] + [(0, 0)] * (part.ndim - 1), mode="edge")
+                      for part in airframe.surface) for airframe in airframes]
+    return [Target(airframe, *lattice, body, surface)
+            for airframe, lattice, body, surface in zip(airframes, lattices, bodies, surfaces, strict=True)]
 
 
 def split_of(flight: np.ndarray, config: Config) -> np.ndarray:
@@ -136,9 +148,7 @@ def generate(config: Config, rows: Sequence[int] | np.ndarray, targets: Sequence
 
 
 def _simulate(keys, known, target: Target, config: Config):
-    surface, cumulative = target.airframe.surface
-    return _compiled(keys, known, target.body if target.body is not None else target.cells,
-                     jnp.asarray(surface, jnp.float32), jnp.asarray(cumulative, jnp.float32), config)
+    return _compiled(keys, known, target.body if target.body is not None else target.cells, *target.surface, config)
 
 
 @partial(jax.jit, static_argnames="config")

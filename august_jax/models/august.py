@@ -14,8 +14,10 @@ reparameterised sample z = mu + sigma * xi, summed over the latent's dimensions:
 it.) diag(sigma^2) is the posterior's covariance. At inference the condition is the posterior mean, unless a sample is
 asked for: the mean spares the estimate the posterior's spread, and training saw codes all around it.
 
-An optional term trains a linear readout of the posterior mean to the cloud's moments (:func:`moments`). It shapes
-the latent early, when the diffusion's gradient is mostly noise, and reads a position without sampling a cloud.
+An optional term trains a linear readout of the posterior mean to the cloud's moments (`frame.moments`). It shapes
+the latent early, when the diffusion's gradient is mostly noise, and reads a position without sampling a cloud. With
+`config.model.frame` = ``craft`` the diffusion draws points in the frame that the readout states (`frame`), and with
+`config.model.seeds` points the cloud settles on one craft first (`seeds`).
 
 Schemes (`config.model.scheme`): ``august``; ``noebd`` without the embeddings of position and SNR (with the ``roi``
 encoder q_pre still centres the subspace); ``nolatent``, where f itself conditions the diffusion and there is no
@@ -37,12 +39,14 @@ from august_jax.models.denoiser import Denoiser
 from august_jax.models.diffusion import Schedule, add_noise, ancestral, dpm, draw_steps
 from august_jax.models.encoder import Encoder
 from august_jax.models.flow import RealNVP
+from august_jax.models.frame import READINGS, into_craft, moments, out_of_craft
 from august_jax.models.layers import MLP, dense
 from august_jax.models.refchannel import RefChannel
+from august_jax.models.seeds import Seeds, draw_seeds
 
+SAMPLERS = ("dpm", "ancestral")
 _LOG_VARIANCE_LIMIT = 12.0
 _LOG_VARIANCE_START = -4.0
-_PAIRS = np.triu_indices(3)
 
 
 class August(nnx.Module):
@@ -66,8 +70,10 @@ class August(nnx.Module):
             self.mean_head = MLP(model.encoder_features, model.encoder_features, model.latent, rngs=rngs)
             self.variance_head = MLP(model.encoder_features, model.encoder_features, model.latent, rngs=rngs)
             self.prior = RealNVP(model.latent, model.flow_layers, model.flow_features, rngs=rngs)
-        self.denoiser = Denoiser(model.denoiser, condition, self.schedule, model.time_embedding, rngs=rngs)
-        self.readout_head = dense(condition, 5 + len(_PAIRS[0]), rngs=rngs)
+        self.seeds = Seeds(model.seeds, condition, rngs=rngs) if model.seeds else None
+        context = condition + (self.seeds.size if self.seeds else 0)
+        self.denoiser = Denoiser(model.denoiser, context, self.schedule, model.time_embedding, rngs=rngs)
+        self.readout_head = dense(condition, READINGS, gain=0.0, rngs=rngs)
 
     @property
     def has_latent(self) -> bool:
@@ -102,11 +108,11 @@ class August(nnx.Module):
         return mean if key is None else _sample(key, mean, log_variance)
 
     def readout(self, channel: jax.Array, predicted: jax.Array, snr_db: jax.Array) -> jax.Array:
-        """Linear reading of the condition (B, 11): what :func:`moments` says of the cloud.
+        """Linear reading of the condition (B, 30): what `frame.moments` says of the cloud.
 
         It means something only where ``train.weight_readout`` was positive.
         """
-        return self.readout_head(self.condition(channel, predicted, snr_db))
+        return self._read(self.condition(channel, predicted, snr_db), channel, predicted)
 
     def loss(self, key: jax.Array, batch: Mapping[str, jax.Array],
              train: TrainConfig) -> tuple[jax.Array, dict[str, jax.Array]]:
@@ -122,7 +128,7 @@ class August(nnx.Module):
         scheme = self.config.model.scheme
         self._check(batch)
         batch = {name: jnp.asarray(array) for name, array in batch.items()}
-        step_key, noise_key, latent_key, point_key = jax.random.split(key, 4)
+        step_key, noise_key, latent_key, point_key, seed_key = jax.random.split(key, 5)
         cloud = batch["cloud"]
         clouds, count = cloud.shape[:2]
         inputs = (batch["channel"], batch["predicted"], batch["snr_db"])
@@ -139,16 +145,24 @@ class August(nnx.Module):
             condition = read = self.reference.channel_map(estimate)
             terms["reference"] = self.reference.loss(estimate, batch["reference"])
 
+        truth = moments(cloud)
+        seeds = min(self.config.model.seeds, count)
+        chosen = seeds + min(train.points, count - seeds)
         points = cloud
-        if count > train.points:
-            points = cloud[:, jax.random.choice(point_key, count, (train.points,), replace=False)]
+        if seeds or chosen < count:
+            points = cloud[:, jax.random.choice(point_key, count, (chosen,), replace=False)]
+        if self.config.model.frame == "craft":
+            points = into_craft(points, truth, self._frame_scale)
+        if self.seeds:
+            condition = self._with_seeds(condition, *draw_seeds(seed_key, points[:, :seeds]))
+            points = points[:, seeds:]
         step = draw_steps(step_key, clouds, self.schedule)
         noise = jax.random.normal(noise_key, points.shape)
         noisy = add_noise(points, noise, step, self.schedule)
         error = (noise - self.denoiser(noisy, step, condition)) ** 2
         terms["position"] = jnp.mean(jnp.sum(error[..., :3], axis=-1))
         terms["material"] = jnp.mean(jnp.sum(error[..., 3:], axis=-1))
-        terms["readout"] = jnp.mean(jnp.sum((self.readout_head(read) - moments(cloud)) ** 2, axis=-1))
+        terms["readout"] = jnp.mean(jnp.sum((self._read(read, *inputs[:2]) - truth) ** 2, axis=-1))
         weights = {
             "position": train.weight_position, "material": train.weight_material, "latent": train.weight_latent,
             "reference": 1.0, "readout": train.weight_readout,
@@ -166,20 +180,68 @@ class August(nnx.Module):
         Raises:
             ValueError: an unknown sampler, or a number of steps that does not fit the schedule.
         """
-        latent_key, key = jax.random.split(key)
+        if sampler not in SAMPLERS:
+            raise ValueError(f"sampler: unknown sampler {sampler!r}; choose dpm or ancestral")
+        latent_key, seed_key, key = jax.random.split(key, 3)
         condition = self.condition(channel, predicted, snr_db, latent_key if sample_latent else None)
-        shape = (condition.shape[0], count, 5)
-        if sampler == "dpm":
-            return dpm(key, self._denoise(condition), shape, self.schedule, steps)
-        if sampler == "ancestral":
-            return ancestral(key, self._denoise(condition), shape, self.schedule)
-        raise ValueError(f"sampler: unknown sampler {sampler!r}; choose dpm or ancestral")
+
+        def draw(key, context, number):
+            shape = (context.shape[0], number, 5)
+            if sampler == "dpm":
+                return dpm(key, self._denoise(context), shape, self.schedule, steps)
+            return ancestral(key, self._denoise(context), shape, self.schedule)
+
+        cloud = draw(key, self._settle(seed_key, condition, draw), count)
+        return self._in_region(cloud, self._read(condition, channel, predicted))
 
     def denoising(self, key: jax.Array, channel: jax.Array, predicted: jax.Array, snr_db: jax.Array, count: int, *,
                   after: tuple[int, ...]) -> jax.Array:
         """The clouds on their way, (len(after), B, count, 5), once ``after`` of the S ancestral steps are done."""
         condition = self.condition(channel, predicted, snr_db)
-        return ancestral(key, self._denoise(condition), (condition.shape[0], count, 5), self.schedule, after)
+        seed_key, key = jax.random.split(key)
+
+        def draw(key, context, number):
+            return ancestral(key, self._denoise(context), (context.shape[0], number, 5), self.schedule)
+
+        context = self._settle(seed_key, condition, draw)
+        path = ancestral(key, self._denoise(context), (condition.shape[0], count, 5), self.schedule, after)
+        return self._in_region(path, self._read(condition, channel, predicted))
+
+    @property
+    def _frame_scale(self) -> float:
+        return self.config.region.scale_m / self.config.target.half_wheelbase_m
+
+    def _read(self, condition: jax.Array, channel: jax.Array, predicted: jax.Array) -> jax.Array:
+        reading = self.readout_head(condition)
+        if self.config.model.scheme == "refchannel":
+            return reading
+        # The place is read relative to the point about which the encoder describes the channel.
+        _, centre = self.encoder.channel_input.centred(channel, predicted)
+        return reading.at[:, :3].add((centre - predicted) / self.config.region.scale_m)
+
+    def _with_seeds(self, condition: jax.Array, seeds: jax.Array, known: jax.Array) -> jax.Array:
+        return jnp.concatenate([condition, self.seeds(seeds, known, condition)], axis=-1)
+
+    def _settle(self, key: jax.Array, condition: jax.Array, draw) -> jax.Array:
+        """The denoiser's context: the condition and, where the model has seeds, those that ``draw`` drew in turn."""
+        if self.seeds is None:
+            return condition
+
+        def one_more(seeds, number):
+            known = jnp.broadcast_to(number, condition.shape[:1])
+            point = draw(jax.random.fold_in(key, number), self._with_seeds(condition, seeds, known), 1)
+            return jax.lax.dynamic_update_slice(seeds, point, (0, number, 0)), None
+
+        count = self.seeds.count
+        nothing = jnp.zeros((condition.shape[0], count, 5), condition.dtype)
+        seeds, _ = jax.lax.scan(one_more, nothing, jnp.arange(count))
+        return self._with_seeds(condition, seeds, jnp.full(condition.shape[:1], count))
+
+    def _in_region(self, clouds: jax.Array, reading: jax.Array) -> jax.Array:
+        """Diffused clouds (..., B, M, 5) in the coordinates of the region."""
+        if self.config.model.frame == "region":
+            return clouds
+        return out_of_craft(clouds, reading, self._frame_scale)
 
     def _denoise(self, condition: jax.Array):
         return lambda points, step: self.denoiser(points, step, condition)
@@ -213,18 +275,6 @@ def reconstruct(graphdef: nnx.GraphDef, state: nnx.State, key: jax.Array, channe
     model = nnx.merge(graphdef, state)
     return model.reconstruct(key, channel, predicted, snr_db, count, sampler=sampler, steps=steps,
                              sample_latent=sample_latent)
-
-
-def moments(cloud: jax.Array) -> jax.Array:
-    """What the readout is trained to (..., 11), of clouds (..., M, 5) in their own units.
-
-    The mean of the five numbers, and ten times the covariances xx, xy, xz, yy, yz, zz of the three coordinates: of a
-    flat craft these hold the attitude; the factor brings them to the size of the means.
-    """
-    mean = jnp.mean(cloud, axis=-2)
-    centred = cloud[..., :3] - mean[..., None, :3]
-    covariance = jnp.mean(centred[..., _PAIRS[0]] * centred[..., _PAIRS[1]], axis=-2)
-    return jnp.concatenate([mean, 10.0 * covariance], axis=-1)
 
 
 def parameter_count(state: nnx.State) -> int:

@@ -9,7 +9,9 @@ F_enc a residual MLP of Linear-LeakyReLU pairs, w1 and w2 MLPs of two layers. Wh
   does not scale; the entries are near 1e-6, of which a network initialised as usual sees nothing).
 - ``roi``: features of A = U^H H conj(U), the channel in the field subspace of the region (`signal.roi`): the spherical
   phases of q_pre are taken out and Legendre polynomials over the aperture are left. The entries vary slowly with the
-  target's offset from q_pre, where those of H turn through hundreds of radians. See :func:`roi_features`.
+  target's offset from q_pre, where those of H turn through hundreds of radians. The centre is first moved from q_pre
+  to the bearing of the echo (`signal.roi.towards`), which leaves range, attitude and shape to be told by what then
+  remains beside A_00; the position features are those of the new centre. See :func:`roi_features`.
 """
 
 from __future__ import annotations
@@ -78,14 +80,31 @@ class ChannelInput(nnx.Module):
         if config.model.encoder == "paper":
             self.size = 2 * tones * self.antennas**2
         else:
-            self.size = tones * (len(_GAINS) * self.orders * (self.orders + 1) + 3)
+            self.size = tones * (len(_GAINS) * self.orders * (self.orders + 1) + 3) + 3
 
     def __call__(self, channel: jax.Array, predicted: jax.Array) -> jax.Array:
         """v (B, size) of channels (B, F, N_b, N_b) or, for ``roi``, also of coefficients (B, F, K, K)."""
+        channel, centre = self.centred(channel, predicted)
+        if self.config.model.encoder == "paper":
+            return paper_features(channel)
+        offset = (centre - predicted) / self.config.region.scale_m
+        return jnp.concatenate([offset, roi_features(channel, centre, self._wavenumbers())], axis=-1)
+
+    def centred(self, channel: jax.Array, predicted: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """What describes the channel, and the point (B, 3) [m] about which: H_est and q_pre for ``paper``, coefficients
+        A (B, F, K, K) about the echo's bearing at the range of q_pre for ``roi``."""
         if self.config.model.encoder == "paper":
             self._check(channel, (self.antennas,))
-            return paper_features(channel)
-        return roi_features(self.coefficients(channel, predicted), predicted, self._wavenumbers())
+            return channel, predicted
+        array, wavenumbers = self.config.array, self._wavenumbers()
+        coefficients = self.coefficients(channel, predicted)
+        basis, positions = jnp.asarray(roi.legendre_basis(array.nx, array.nz)), jnp.asarray(_positions(array))
+        spacing = 0.5 * SPEED_OF_LIGHT / array.frequency_hz
+        centre = jax.vmap(lambda each, place: roi.towards(
+            each, place, (array.nx, array.nz), spacing, wavenumbers, basis))(coefficients, predicted)
+        tones = jax.vmap(roi.recentre, in_axes=(0, None, None, None, 0, None))
+        samples = jax.vmap(tones, in_axes=(0, 0, 0, None, None, None))
+        return samples(coefficients, predicted, centre, positions, wavenumbers, basis), centre
 
     def coefficients(self, channel: jax.Array, predicted: jax.Array) -> jax.Array:
         """A (B, F, K, K): projected about ``predicted`` (B, 3) [m], unless ``channel`` holds it already."""
@@ -139,7 +158,8 @@ class Encoder(nnx.Module):
         hidden = self.channel_map(self.channel_input(channel, predicted))
         if self.embedding:
             model = self.config.model
-            place = position_features(predicted, model.fourier, self.config.flight, raw_metres=model.raw_metres)
+            _, centre = self.channel_input.centred(channel, predicted)
+            place = position_features(centre, model.fourier, self.config.flight, raw_metres=model.raw_metres)
             # 1 + : the product starts near h_vec itself.
             hidden = jnp.concatenate(
                 [(1.0 + self.position_head(place)) * hidden, self.snr_head(snr_features(snr_db, model.fourier))],

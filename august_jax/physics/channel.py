@@ -1,9 +1,12 @@
-"""The sensing channel of a body: three solvers behind one signature (paper, eqs. Ei to signal yl).
+"""The sensing channel of a body: four solvers behind one signature (paper, eqs. Ei to signal yl).
 
 H = k^2 M^T D V (I - k^2 G D V)^{-1} M for solid cells; see :mod:`august_jax.physics.mom` for partly filled ones.
 
 ``mom``
     the full coupled system, dense LU.
+``krylov``
+    the same system by an iterative solver (:mod:`august_jax.physics.krylov`): several times faster where positions
+    or contrasts move and gradients are wanted.
 ``local_field_born``
     each cell answers the incident field alone, with the quasi-static self term: for solid cells, first-order
     Born times 3/(3 + chi).
@@ -13,6 +16,7 @@ H = k^2 M^T D V (I - k^2 G D V)^{-1} M for solid cells; see :mod:`august_jax.phy
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from functools import partial
 
@@ -22,8 +26,9 @@ import numpy as np
 
 from august_jax.physics.array import PlanarArray, wavenumber
 from august_jax.physics.cells import Cells
-from august_jax.physics.checks import check_cells, check_contrast, is_concrete
+from august_jax.physics.checks import check_cells, check_contrast, is_concrete, warn_of_coarse_cells
 from august_jax.physics.green import dipole_fields
+from august_jax.physics.krylov import solve_krylov, stationary_channel
 from august_jax.physics.mom import interaction_matrix, solve_dense, weighted_fields
 
 
@@ -42,7 +47,7 @@ def sensing_channel(
         cells: N cells, in the world frame.
         contrast: chi, scalar or (N,). With ``frequencies_hz``, a leading axis of F is taken as one value (or row)
             a tone: (F, 1) or (F, N).
-        solver: ``mom``, ``local_field_born`` or ``born``.
+        solver: ``mom``, ``krylov``, ``local_field_born`` or ``born``.
         frequencies_hz: F tones [Hz]; None means the array's own frequency and no tone axis.
 
     Returns:
@@ -51,6 +56,8 @@ def sensing_channel(
 
     Raises:
         ValueError: unknown solver, mismatched shapes, malformed cells, or an antenna within a cell.
+
+    Warns where cells are too coarse for the wavelength in their material.
     """
     if solver not in SOLVERS:
         raise ValueError(f"solver: unknown solver {solver!r}; choose one of {', '.join(SOLVERS)}")
@@ -62,6 +69,7 @@ def sensing_channel(
             raise ValueError(f"cells.positions: a cell is {gap:.3g} m from an antenna; keep the array outside the body")
     if frequencies_hz is None:
         check_contrast(contrast, count)
+        warn_of_coarse_cells(cells, contrast, wavenumber(array.frequency_hz))
         return _channel(array, cells, jnp.asarray(contrast), solver, array.frequency_hz)
     tones = tuple(float(tone) for tone in frequencies_hz)
     if np.ndim(contrast) == 2:
@@ -74,9 +82,57 @@ def sensing_channel(
     else:
         check_contrast(contrast, count)
         rows = [contrast] * len(tones)
+    for row, tone in zip(rows, tones, strict=True):
+        warn_of_coarse_cells(cells, row, wavenumber(tone))
     return jnp.stack([
         _channel(array, cells, jnp.asarray(row), solver, tone) for row, tone in zip(rows, tones, strict=True)
     ])
+
+
+def sensing_channels(
+    array: PlanarArray,
+    cells: Cells,
+    contrast: jax.Array,
+    *,
+    solver: str = "mom",
+    frequencies_hz: Sequence[float] | None = None,
+    microbatch: int | None = None,
+) -> jax.Array:
+    """Channels of B targets of equally many cells: :func:`sensing_channel` mapped over their leading axis.
+
+    A dense target needs two matrices of (3N)^2 complex numbers while it is solved, so only ``microbatch`` of them are
+    in flight; the result does not depend on it.
+
+    Args:
+        array: the antennas.
+        cells: every leaf with a leading axis B; ``fill`` may also be one number.
+        contrast: (B,), (B, N), and with tones (B, F, 1) or (B, F, N).
+        solver, frequencies_hz: as in :func:`sensing_channel`.
+        microbatch: targets in flight; None takes what a quarter of the free memory holds, at most 16.
+
+    Returns:
+        (B, N_b, N_b), or (B, F, N_b, N_b).
+    """
+    count = np.shape(cells.positions)[-2]
+    size = microbatch or _microbatch(count, jnp.result_type(cells.positions))
+    fill = jnp.broadcast_to(jnp.asarray(cells.fill), np.shape(cells.volumes))
+
+    def one(target):
+        body, chi = target
+        return sensing_channel(array, body, chi, solver=solver, frequencies_hz=frequencies_hz)
+
+    return jax.lax.map(one, (cells._replace(fill=fill), jnp.asarray(contrast)), batch_size=size)
+
+
+def _microbatch(count: int, dtype) -> int:
+    """Targets of ``count`` cells whose two matrices fit into a quarter of the memory that is free now."""
+    statistics = jax.devices()[0].memory_stats() or {}
+    if "bytes_limit" in statistics:
+        free = statistics["bytes_limit"] - statistics.get("bytes_in_use", 0)
+    else:
+        free = os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    each = 2 * (3 * count) ** 2 * 2 * jnp.dtype(dtype).itemsize
+    return int(np.clip(0.25 * free // each, 1, 16))
 
 
 @partial(jax.jit, static_argnames=("array", "solver", "frequency_hz"))
@@ -88,7 +144,12 @@ def _channel(array, cells, contrast, solver, frequency_hz):
         cells.positions, jnp.asarray(array.positions, dtype), jnp.asarray(array.polarization, dtype), k
     )
     fields = weighted_fields(cells, fields)
-    channel = k**2 * fields.T @ SOLVERS[solver](cells, contrast, fields, k)
+    if solver == "krylov":
+        matrix = interaction_matrix(cells, k)
+        solution = solve_krylov(*jax.lax.stop_gradient((matrix, contrast, fields)))
+        channel = k**2 * stationary_channel(matrix, contrast, fields, solution)
+    else:
+        channel = k**2 * fields.T @ _POLARIZATIONS[solver](cells, contrast, fields, k)
     return 0.5 * (channel + channel.T)
 
 
@@ -110,5 +171,6 @@ def _local_field_born(cells: Cells, contrast, fields, k):
     return jnp.linalg.solve(block, chi * incident).reshape(fields.shape)
 
 
-SOLVERS: dict[str, Callable] = {"mom": _mom, "local_field_born": _local_field_born, "born": _born}
+_POLARIZATIONS: dict[str, Callable] = {"mom": _mom, "local_field_born": _local_field_born, "born": _born}
 """Polarisations P of the weighted cells under the fields E', by solver name."""
+SOLVERS = ("mom", "krylov", "local_field_born", "born")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+
 import jax
 import numpy as np
 
@@ -41,6 +43,27 @@ def check_cells(cells: Cells) -> None:
     unique = np.unique(np.asarray(cells.positions), axis=0)
     if len(unique) < count:
         raise ValueError(f"cells.positions: {count - len(unique)} of {count} cells coincide with others; merge them")
+
+
+_CELLS_A_WAVELENGTH = 4.0
+"""Below this many cells a wavelength in the material the channel errs by tens of per cent."""
+
+
+def warn_of_coarse_cells(cells: Cells, contrast, wavenumber: float) -> None:
+    """Warn where the wavelength in the material, thinned by the cells' fill, is under-resolved; numbers only."""
+    if not (is_concrete(cells) and is_concrete(contrast)):
+        return
+    fill = np.broadcast_to(np.asarray(cells.fill), np.shape(cells.volumes))
+    index = np.sqrt(np.abs(1.0 + fill * np.asarray(contrast)))
+    resolved = 2.0 * np.pi / (index * wavenumber * np.cbrt(np.asarray(cells.volumes)))
+    worst = int(np.argmin(resolved))
+    if resolved[worst] < _CELLS_A_WAVELENGTH:
+        edge = float(np.cbrt(np.asarray(cells.volumes)[worst]))
+        warnings.warn(
+            f"cells.volumes: cells of {1e3 * edge:.3g} mm make {resolved[worst]:.2g} a wavelength in their material; "
+            f"use {1e3 * edge * resolved[worst] / _CELLS_A_WAVELENGTH:.2g} mm or less for errors below some 10 %",
+            stacklevel=3,
+        )
 
 
 def check_contrast(contrast, count: int) -> None:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import hashlib
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -59,6 +59,8 @@ class Airframe:
     mesh: trimesh.Trimesh
     half_wheelbase_m: float
     rotor_axes_m: np.ndarray | None = None
+    _last: dict[tuple[float, float], Cells] = field(default_factory=dict, init=False, repr=False)
+    """The lattice made last: :meth:`cell_size_for` makes what :meth:`cells` is asked for next, seconds each."""
 
     @cached_property
     def surface(self) -> tuple[np.ndarray, np.ndarray]:
@@ -85,7 +87,12 @@ class Airframe:
             cell_m: edge of the cells [m].
             skin_m: thickness of the material about the surface [m], at most ``cell_m``.
         """
-        return shell_cells(self.mesh.triangles, cell_m, skin_m)
+        wanted = (float(cell_m), float(skin_m))
+        if wanted not in self._last:
+            cells = shell_cells(self.mesh.triangles, cell_m, skin_m)
+            self._last.clear()
+            self._last[wanted] = cells
+        return self._last[wanted]
 
     def cell_size_for(self, max_cells: int, cell_m: float, skin_m: float) -> float:
         """The finest of the sizes cell_m * 1.05^k, k = 0, 1, ... [m] that needs at most ``max_cells`` cells."""

@@ -140,3 +140,54 @@ def lift(
     """The channel (N_b, N_b) of given coefficients, H = U A U^T; arguments as in :func:`project`."""
     waves = subspace(predicted, positions, wavenumber, basis)
     return waves @ coefficients @ waves.T
+
+
+def towards(
+    coefficients: jax.Array, predicted: jax.Array, shape: tuple[int, int], spacing: float, wavenumbers, basis: jax.Array
+) -> jax.Array:
+    """The point at the prediction's range from which the echo comes: q' (3,) [m], |q'| = |q_pre|.
+
+    The mean phase step between neighbouring antennas (the pulse-pair estimate of a frequency) of the columns of
+    P A tells by how much the echo's direction cosines differ from those of q_pre. A step of 2 pi would need an offset
+    as large as the range, so nothing is ambiguous. Range itself is left alone: it bends phases a hundred times less.
+
+    Args:
+        coefficients: A (F, K, K) about ``predicted``.
+        predicted: q_pre (3,) [m].
+        shape: (N_x, N_z) of the array in the x-O-z plane, rows of P ordered n = b + a N_z.
+        spacing: distance between neighbours [m].
+        wavenumbers: k of each tone (F,) [rad/m].
+        basis: P (N_b, K) from :func:`legendre_basis`.
+    """
+    waves = jnp.einsum("nk,fkl->fnl", basis, coefficients)
+    waves = waves.reshape(-1, *shape, waves.shape[-1])
+    steps = [
+        jnp.sum(waves[:, 1:] * waves[:, :-1].conj(), axis=(1, 2, 3)),
+        jnp.sum(waves[:, :, 1:] * waves[:, :, :-1].conj(), axis=(1, 2, 3)),
+    ]
+    distance = jnp.linalg.norm(predicted)
+    cosines = []
+    for step, start in zip(steps, (predicted[0], predicted[2])):
+        weight = jnp.abs(step)
+        turn = jnp.angle(step) / (jnp.asarray(wavenumbers) * spacing)
+        cosines.append(start / distance - jnp.sum(weight * turn) / jnp.maximum(jnp.sum(weight), 1e-30))
+    x, z = cosines
+    # A glimpse of pure noise may point beyond the horizon of the array's half space.
+    shrink = jnp.minimum(1.0, 0.999 / jnp.maximum(jnp.sqrt(x**2 + z**2), 1e-9))
+    x, z = shrink * x, shrink * z
+    y = jnp.sqrt(1.0 - x**2 - z**2)
+    return distance * jnp.stack([x, jnp.where(predicted[1] < 0.0, -y, y), z])
+
+
+def recentre(
+    coefficients: jax.Array, predicted: jax.Array, centre: jax.Array, positions: jax.Array, wavenumber, basis: jax.Array
+) -> jax.Array:
+    """Coefficients (K, K) about another point: T A T^T, T = U'^H U; what leaves the subspace on the way is lost.
+
+    Args:
+        coefficients: A (K, K) about ``predicted``.
+        predicted, centre: old and new point (3,) [m].
+        positions, wavenumber, basis: as in :func:`project`.
+    """
+    change = subspace(centre, positions, wavenumber, basis).conj().T @ subspace(predicted, positions, wavenumber, basis)
+    return change @ coefficients @ change.T

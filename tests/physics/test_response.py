@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from lattices import cross, turned
 
-from august_jax.physics import PlanarArray, body_channel, contrast, factor_body, sensing_channel
+from august_jax.physics import PlanarArray, alike, body_channel, contrast, factor_body, sensing_channel
 from august_jax.physics.response import cache_folder
 
 ARRAY = PlanarArray(8, 4, 3e9)
@@ -47,6 +47,28 @@ def test_symmetric_bodies_have_equal_eigenvalues_and_stay_exact():
     with jax.enable_x64(True):
         slow = np.asarray(sensing_channel(ARRAY, square._replace(positions=grid + translation.astype(float)), 3.0))
     assert np.linalg.norm(fast - slow) < 1e-4 * np.linalg.norm(slow)
+
+
+def test_bodies_made_alike_share_one_compilation_and_keep_their_channels(body):
+    small = factor_body(cross(arm=5), 3e9)
+    assert jax.tree.map(jnp.shape, small) != jax.tree.map(jnp.shape, body)
+    padded = alike([body, small])
+    translation = np.array([1.0, 2.5, 0.7], np.float32)
+    traced = []
+
+    @jax.jit
+    def channel(body):
+        traced.append(1)
+        return body_channel(body, ARRAY, jnp.eye(3), jnp.asarray(translation), 2.0)
+
+    for before, after in zip((body, small), padded):
+        old = body_channel(before, ARRAY, np.eye(3), translation, 2.0)
+        # A larger radius chooses other antennas to interpolate from.
+        assert jnp.linalg.norm(channel(after) - old) < 5e-5 * jnp.linalg.norm(old)
+    assert traced == [1]
+    assert alike([]) == []
+    with pytest.raises(ValueError, match="different frequencies"):
+        alike([body, factor_body(cross(arm=3), 2.9e9)])
 
 
 def test_vmap_jit_and_gradient(body):
