@@ -33,6 +33,7 @@ def test_a_sample_depends_on_its_number_alone(folder, targets):
         np.testing.assert_allclose(stored[name][1], value[0], rtol=1e-4, atol=1e-5 * np.abs(value).max(), err_msg=name)
 
 
+@pytest.mark.filterwarnings("ignore:cells.volumes")
 def test_the_channel_is_that_of_the_cells_in_that_pose(targets):
     sample = {name: value[0] for name, value in data.generate(CONFIG, [9], targets).items()}
     cells = targets[sample["airframe"]].cells

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from august_jax.config import Config
-from august_jax.physics import Body, Cells, PlanarArray, alike, body_channel, contrast, factor_body, sensing_channel
+from august_jax.physics import Body, Cells, PlanarArray, alike, body_channel, contrast, factor_bodies, sensing_channel
 from august_jax.scene.airframes import Airframe, resolve_airframe, sample_triangles
 from august_jax.scene.trajectory import fly_many
 from august_jax.signal.estimation import observe
@@ -74,10 +74,11 @@ def prepare_targets(config: Config, report: Callable[[str], None] = lambda line:
         cell_m = airframe.cell_size_for(target.max_cells, target.cell_m, target.skin_m)
         cells = airframe.cells(cell_m, target.skin_m)
         report(f"{airframe.name}: {cells.count} cells of {1e3 * cell_m:.3g} mm")
-        if config.data.solver == "mom":
-            bodies.append(factor_body(cells, config.array.tones_hz or config.array.frequency_hz, nearest_m=nearest))
         airframes.append(airframe)
         lattices.append((cells, cell_m))
+    if config.data.solver == "mom":
+        tones = config.array.tones_hz or config.array.frequency_hz
+        bodies = factor_bodies([cells for cells, _ in lattices], tones, nearest_m=nearest)
     sizes = [np.prod(body.weights.shape) for body in bodies]
     if bodies and max(sizes) < _UNEVEN * np.mean(sizes):
         bodies = alike(bodies)

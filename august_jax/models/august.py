@@ -191,8 +191,9 @@ class August(nnx.Module):
                 return dpm(key, self._denoise(context), shape, self.schedule, steps)
             return ancestral(key, self._denoise(context), shape, self.schedule)
 
-        cloud = draw(key, self._settle(seed_key, condition, draw), count)
-        return self._in_region(cloud, self._read(condition, channel, predicted))
+        reading = self._read(condition, channel, predicted)
+        cloud = draw(key, self._settle(seed_key, condition, reading, draw), count)
+        return self._in_region(cloud, reading)
 
     def denoising(self, key: jax.Array, channel: jax.Array, predicted: jax.Array, snr_db: jax.Array, count: int, *,
                   after: tuple[int, ...]) -> jax.Array:
@@ -203,9 +204,10 @@ class August(nnx.Module):
         def draw(key, context, number):
             return ancestral(key, self._denoise(context), (context.shape[0], number, 5), self.schedule)
 
-        context = self._settle(seed_key, condition, draw)
+        reading = self._read(condition, channel, predicted)
+        context = self._settle(seed_key, condition, reading, draw)
         path = ancestral(key, self._denoise(context), (condition.shape[0], count, 5), self.schedule, after)
-        return self._in_region(path, self._read(condition, channel, predicted))
+        return self._in_region(path, reading)
 
     @property
     def _frame_scale(self) -> float:
@@ -222,14 +224,19 @@ class August(nnx.Module):
     def _with_seeds(self, condition: jax.Array, seeds: jax.Array, known: jax.Array) -> jax.Array:
         return jnp.concatenate([condition, self.seeds(seeds, known, condition)], axis=-1)
 
-    def _settle(self, key: jax.Array, condition: jax.Array, draw) -> jax.Array:
-        """The denoiser's context: the condition and, where the model has seeds, those that ``draw`` drew in turn."""
+    def _settle(self, key: jax.Array, condition: jax.Array, reading: jax.Array, draw) -> jax.Array:
+        """The denoiser's context: the condition and, where the model has seeds, those that ``draw`` drew in turn.
+
+        In the craft's frame the material is read like the place: a mean errs less than one draw from the posterior.
+        """
         if self.seeds is None:
             return condition
 
         def one_more(seeds, number):
             known = jnp.broadcast_to(number, condition.shape[:1])
             point = draw(jax.random.fold_in(key, number), self._with_seeds(condition, seeds, known), 1)
+            if self.config.model.frame == "craft":
+                point = point.at[..., 3:].set(reading[:, None, 3:5])
             return jax.lax.dynamic_update_slice(seeds, point, (0, number, 0)), None
 
         count = self.seeds.count

@@ -8,11 +8,12 @@ from august_jax.physics.information import fisher_information, mean_position_err
 from august_jax.physics.krylov import KrylovSolution, solve_krylov
 from august_jax.physics.materials import contrast
 from august_jax.physics.mom import Solution, interaction_matrix, self_term, solve_dense
-from august_jax.physics.response import Body, alike, body_channel, cache_folder, factor_body
+from august_jax.physics.response import Body, alike, body_channel, cache_folder, factor_bodies, factor_body
 
 __all__ = [
     "SOLVERS", "Body", "Cells", "KrylovSolution", "PlanarArray", "Solution", "alike", "body_channel", "cache_folder",
-    "contrast", "coupling_matrix", "dipole_fields", "dyadic_green", "factor_body", "fisher_information",
+    "contrast", "coupling_matrix", "dipole_fields", "dyadic_green", "factor_bodies", "factor_body",
+    "fisher_information",
     "interaction_matrix", "mean_position_error", "position_bound", "self_term", "sensing_channel", "sensing_channels",
     "solve_dense", "solve_krylov", "tilt_bound", "wavenumber",
 ]

@@ -20,7 +20,7 @@ CASES = {
     "unknown field": ("train --preset smoke train.stesp=3", ["train.stesp", "did you mean 'steps'"]),
     "bad value": ("simulate --preset smoke data.count=many", ["data.count", "'many'", "integer"]),
     "value out of range": ("simulate --preset smoke array.nx=0", ["array.nx", "0", "positive"]),
-    "bad choice": ("simulate --preset smoke data.solver=magic", ["data.solver", "'magic'", "mom, local_field_born"]),
+    "bad choice": ("simulate --preset smoke data.solver=magic", ["data.solver", "'magic'", "mom, krylov"]),
     "bad list": ("simulate --preset smoke evaluate.snr_db=20", ["evaluate.snr_db", "[a,b]"]),
     "no such run": ("evaluate {tmp}/nowhere", ["{tmp}/nowhere", "august train"]),
     "no such run for demo": ("demo --run {tmp}/nowhere", ["{tmp}/nowhere", "august train"]),

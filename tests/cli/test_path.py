@@ -141,9 +141,9 @@ def test_a_flight_meets_the_channels_that_the_data_hold(home):
     airframe = resolve_airframe("quad_x", dataset.config.target.half_wheelbase_m)
     channels = pipeline.channels_along(airframe, dataset.config, rows["rotation"], rows["position"],
                                        rows["permittivity"][0], rows["conductivity"][0])
-    # the same factored body in single precision, compiled apart
+    # a few poses are solved densely: positions of metres in single precision cost a weak echo four digits
     for channel, stored in zip(np.asarray(channels), unpack(rows["channel"])):
-        assert np.linalg.norm(channel - stored) < 1e-4 * np.linalg.norm(stored)
+        assert np.linalg.norm(channel - stored) < 5e-4 * np.linalg.norm(stored)
 
 
 @pytest.fixture(scope="module")

@@ -59,7 +59,7 @@ def test_mom_agrees_with_the_written_out_twin():
     assert np.linalg.norm(single - slow) < 1e-4 * np.linalg.norm(slow)
 
 
-@pytest.mark.parametrize("solver", ["mom", "local_field_born", "born"])
+@pytest.mark.parametrize("solver", ["mom", "krylov", "local_field_born", "born"])
 @pytest.mark.parametrize(("dtype", "tolerance"), [(np.float32, 1e-6), (np.float64, 1e-12)])
 def test_reciprocity(solver, dtype, tolerance):
     with jax.enable_x64(dtype == np.float64):
