@@ -88,12 +88,16 @@ def draw(results: dict[str, np.ndarray], path: Path) -> None:
     lines(axes[0, 1], by_comb, results["position_m"], "m", floor, "position bound")
     lines(axes[1, 0], by_array, results["tilt_deg"], "deg", tilt_prior, "tilt bound")
     lines(axes[1, 1], by_comb, results["tilt_deg"], "deg", tilt_prior, "tilt bound")
+    for axis in axes.flat:
+        axis.set_xscale("log")
+        axis.set_xticks([4, 8, 15, 30, 60], ["4", "8", "15", "30", "60"])
+        axis.minorticks_off()
     for axis, label in zip(axes[:, 2], ("16x4, 1 tone", "16x4, 4 tones, 100 MHz")):
         values = results["position_m"][cases.index(label)].T
         mesh = axis.pcolormesh(ranges, snrs, np.log10(values), shading="gouraud", vmin=-3, vmax=0, cmap="viridis_r")
         lines_ = axis.contour(ranges, snrs, values, levels=[0.01, 0.03, 0.1, 0.3], colors="w", linewidths=1)
         axis.clabel(lines_, fmt=lambda value: f"{1e2 * value:g} cm", fontsize=8)
-        axis.set(xscale="log", xlabel="range [m]", ylabel="SNR [dB]", title=f"position bound, {label}")
+        axis.set(xlabel="range [m]", ylabel="SNR [dB]", title=f"position bound, {label}")
         fig.colorbar(mesh, ax=axis, label="log10 of metres")
     save(fig, path)
 

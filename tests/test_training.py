@@ -113,7 +113,8 @@ def test_a_step_clips_decays_and_averages():
     moved = np.asarray(state.params) - before
     heard = np.abs(moved) > 0
     # |g|/(|g| + 1e-8): full size unless a clipped gradient is as small as Adam's epsilon
-    np.testing.assert_allclose(np.median(np.abs(moved[heard])), CONFIG.train.learning_rate[0], rtol=1e-2)
+    np.testing.assert_allclose(np.quantile(np.abs(moved[heard]), 0.95), CONFIG.train.learning_rate[0], rtol=1e-2)
+    assert np.abs(moved).max() <= CONFIG.train.learning_rate[0] * (1 + 1e-3)
     np.testing.assert_allclose(np.asarray(state.ema) - before, moved * 9 / 11, atol=1e-6)
     assert np.isfinite(report["gradient"]) and int(state.step) == 1
 

@@ -66,7 +66,7 @@ def test_positions_integrate_velocities(flights):
 
 def test_acceleration_is_correlated_over_its_time():
     # in a box that no flight of two seconds crosses, the process is alone but for the drag and the rare limits
-    wide = replace(LAPTOP, box_m=((-200.0, 200.0),) * 3, slots=11)
+    wide = replace(LAPTOP, style="smooth", box_m=((-200.0, 200.0),) * 3, slots=11)
     flight = fly_many(jax.random.split(jax.random.key(1), 2000), wide)
     calm = np.abs(flight.positions).max(axis=1) < 75.0  # the outer 30 % lead back
     push = np.asarray(flight.accelerations + 0.2 * flight.velocities).swapaxes(1, 2)[calm]

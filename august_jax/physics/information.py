@@ -108,7 +108,9 @@ def error_covariance(information: np.ndarray, prior: Prior = Prior()) -> np.ndar
     """(F + diag(1/p^2))^{-1}, the bound on the errors' covariance (..., 10, 10), float64."""
     deviation = prior.deviations()
     scaled = deviation[:, None] * np.asarray(information, np.float64) * deviation
-    inverse = np.linalg.inv(scaled + np.eye(len(deviation)))
+    # Derivatives in single precision leave an information that should be zero slightly negative.
+    values, vectors = np.linalg.eigh(0.5 * (scaled + np.swapaxes(scaled, -1, -2)))
+    inverse = (vectors / (1.0 + np.maximum(values, 0.0))[..., None, :]) @ np.swapaxes(vectors, -1, -2)
     return deviation[:, None] * inverse * deviation
 
 
