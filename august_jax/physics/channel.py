@@ -5,8 +5,8 @@ H = k^2 M^T D V (I - k^2 G D V)^{-1} M for solid cells; see :mod:`august_jax.phy
 ``mom``
     the full coupled system, dense LU.
 ``krylov``
-    the same system by an iterative solver (:mod:`august_jax.physics.krylov`): several times faster where positions
-    or contrasts move and gradients are wanted.
+    the same system by an iterative solver (:mod:`august_jax.physics.krylov`), for moving positions and contrasts: a
+    gradient needs no second solve.
 ``local_field_born``
     each cell answers the incident field alone, with the quasi-static self term: for solid cells, first-order
     Born times 3/(3 + chi).

@@ -46,7 +46,7 @@ def check_cells(cells: Cells) -> None:
 
 
 _CELLS_A_WAVELENGTH = 4.0
-"""Below this many cells a wavelength in the material the channel errs by tens of per cent."""
+"""Fewer cells a wavelength in the material are warned of: |m| k d beyond about 1.5, past what is usual for dipoles."""
 
 
 def warn_of_coarse_cells(cells: Cells, contrast, wavenumber: float) -> None:
@@ -61,7 +61,7 @@ def warn_of_coarse_cells(cells: Cells, contrast, wavenumber: float) -> None:
         edge = float(np.cbrt(np.asarray(cells.volumes)[worst]))
         warnings.warn(
             f"cells.volumes: cells of {1e3 * edge:.3g} mm make {resolved[worst]:.2g} a wavelength in their material; "
-            f"use {1e3 * edge * resolved[worst] / _CELLS_A_WAVELENGTH:.2g} mm or less for errors below some 10 %",
+            f"use {1e3 * edge * resolved[worst] / _CELLS_A_WAVELENGTH:.2g} mm or less",
             stacklevel=3,
         )
 
