@@ -184,13 +184,7 @@ class August(nnx.Module):
             raise ValueError(f"sampler: unknown sampler {sampler!r}; choose dpm or ancestral")
         latent_key, seed_key, key = jax.random.split(key, 3)
         condition = self.condition(channel, predicted, snr_db, latent_key if sample_latent else None)
-
-        def draw(key, context, number):
-            shape = (context.shape[0], number, 5)
-            if sampler == "dpm":
-                return dpm(key, self._denoise(context), shape, self.schedule, steps)
-            return ancestral(key, self._denoise(context), shape, self.schedule)
-
+        draw = self._drawing(sampler, steps)
         reading = self._read(condition, channel, predicted)
         cloud = draw(key, self._settle(seed_key, condition, reading, draw), count)
         return self._in_region(cloud, reading)
@@ -200,12 +194,8 @@ class August(nnx.Module):
         """The clouds on their way, (len(after), B, count, 5), once ``after`` of the S ancestral steps are done."""
         condition = self.condition(channel, predicted, snr_db)
         seed_key, key = jax.random.split(key)
-
-        def draw(key, context, number):
-            return ancestral(key, self._denoise(context), (context.shape[0], number, 5), self.schedule)
-
         reading = self._read(condition, channel, predicted)
-        context = self._settle(seed_key, condition, reading, draw)
+        context = self._settle(seed_key, condition, reading, self._drawing("ancestral"))
         path = ancestral(key, self._denoise(context), (condition.shape[0], count, 5), self.schedule, after)
         return self._in_region(path, reading)
 
@@ -249,6 +239,16 @@ class August(nnx.Module):
         if self.config.model.frame == "region":
             return clouds
         return out_of_craft(clouds, reading, self._frame_scale)
+
+    def _drawing(self, sampler: str, steps: int = 0):
+        """(key, context, number) -> that many points of each cloud, by one of SAMPLERS."""
+        def draw(key, context, number):
+            shape = (context.shape[0], number, 5)
+            if sampler == "dpm":
+                return dpm(key, self._denoise(context), shape, self.schedule, steps)
+            return ancestral(key, self._denoise(context), shape, self.schedule)
+
+        return draw
 
     def _denoise(self, condition: jax.Array):
         return lambda points, step: self.denoiser(points, step, condition)
