@@ -24,7 +24,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from august_jax.physics.array import PlanarArray, wavenumber
+from august_jax.physics.array import AntennaArray, PlanarArray, wavenumber
 from august_jax.physics.cells import Cells
 from august_jax.physics.checks import check_cells, check_contrast, is_concrete, warn_of_coarse_cells
 from august_jax.physics.green import dipole_fields
@@ -33,26 +33,30 @@ from august_jax.physics.mom import interaction_matrix, solve_dense, weighted_fie
 
 
 def sensing_channel(
-    array: PlanarArray,
+    array: PlanarArray | AntennaArray,
     cells: Cells,
     contrast: jax.Array | complex,
     *,
     solver: str = "mom",
-    frequencies_hz: Sequence[float] | None = None,
+    frequencies_hz: Sequence[float | jax.Array] | None = None,
+    receiver: PlanarArray | AntennaArray | None = None,
 ) -> jax.Array:
     """Sensing channel H of cells in the world frame.
 
     Args:
-        array: the antennas, transmitting and receiving.
+        array: the antennas, transmitting and, without ``receiver``, receiving.
         cells: N cells, in the world frame.
         contrast: chi, scalar or (N,). With ``frequencies_hz``, a leading axis of F is taken as one value (or row)
             a tone: (F, 1) or (F, N).
         solver: ``mom``, ``krylov``, ``local_field_born`` or ``born``.
-        frequencies_hz: F tones [Hz]; None means the array's own frequency and no tone axis.
+        frequencies_hz: F tones [Hz]; None means the array's own frequency and no tone axis. Plain numbers keep more
+            digits of the phase than traced ones (1e-6 against 1e-4 rad at 25 m in single precision).
+        receiver: the antennas that receive, where they are not those that transmit.
 
     Returns:
-        H [1/m] (N_b, N_b), or (F, N_b, N_b); complex, symmetric, of the precision of ``cells``. Differentiable in
-        positions and contrast; ``jax.vmap`` makes batches.
+        H [1/m] (N_b, N_b), or (F, N_b, N_b); row m is what antenna m receives, column n what n transmits. Complex, of
+        the precision of ``cells``, symmetric without ``receiver``. Differentiable in positions, contrast, tones and an
+        :class:`AntennaArray`; ``jax.vmap`` makes batches.
 
     Raises:
         ValueError: unknown solver, mismatched shapes, malformed cells, or an antenna within a cell.
@@ -63,15 +67,18 @@ def sensing_channel(
         raise ValueError(f"solver: unknown solver {solver!r}; choose one of {', '.join(SOLVERS)}")
     check_cells(cells)
     count = cells.positions.shape[0]
-    if is_concrete(cells):
-        gap = np.linalg.norm(np.asarray(cells.positions)[:, None] - array.positions, axis=-1).min()
-        if gap < np.cbrt(np.max(cells.volumes)):
-            raise ValueError(f"cells.positions: a cell is {gap:.3g} m from an antenna; keep the array outside the body")
+    for end in (array, receiver):
+        if end is not None and is_concrete((cells, end)):
+            gap = np.linalg.norm(np.asarray(cells.positions)[:, None] - np.asarray(end.positions), axis=-1).min()
+            if gap < np.cbrt(np.max(cells.volumes)):
+                raise ValueError(
+                    f"cells.positions: a cell is {gap:.3g} m from an antenna; keep the array outside the body"
+                )
     if frequencies_hz is None:
         check_contrast(contrast, count)
         warn_of_coarse_cells(cells, contrast, wavenumber(array.frequency_hz))
-        return _channel(array, cells, jnp.asarray(contrast), solver, array.frequency_hz)
-    tones = tuple(float(tone) for tone in frequencies_hz)
+        return _channel(array, receiver, cells, jnp.asarray(contrast), solver, array.frequency_hz)
+    tones = [float(tone) if is_concrete(tone) else tone for tone in frequencies_hz]
     if np.ndim(contrast) == 2:
         if np.shape(contrast)[0] != len(tones) or np.shape(contrast)[1] not in (1, count):
             raise ValueError(
@@ -82,20 +89,23 @@ def sensing_channel(
     else:
         check_contrast(contrast, count)
         rows = [contrast] * len(tones)
+    channels = []
     for row, tone in zip(rows, tones, strict=True):
         warn_of_coarse_cells(cells, row, wavenumber(tone))
-    return jnp.stack([
-        _channel(array, cells, jnp.asarray(row), solver, tone) for row, tone in zip(rows, tones, strict=True)
-    ])
+        # A frequency that is differentiated is inside a trace already and cannot be a constant of another.
+        solve = _channel if isinstance(tone, float) else _channel.__wrapped__
+        channels.append(solve(array, receiver, cells, jnp.asarray(row), solver, tone))
+    return jnp.stack(channels)
 
 
 def sensing_channels(
-    array: PlanarArray,
+    array: PlanarArray | AntennaArray,
     cells: Cells,
     contrast: jax.Array,
     *,
     solver: str = "mom",
     frequencies_hz: Sequence[float] | None = None,
+    receiver: PlanarArray | AntennaArray | None = None,
     microbatch: int | None = None,
 ) -> jax.Array:
     """Channels of B targets of equally many cells: :func:`sensing_channel` mapped over their leading axis.
@@ -107,7 +117,7 @@ def sensing_channels(
         array: the antennas.
         cells: every leaf with a leading axis B; ``fill`` may also be one number.
         contrast: (B,), (B, N), and with tones (B, F, 1) or (B, F, N).
-        solver, frequencies_hz: as in :func:`sensing_channel`.
+        solver, frequencies_hz, receiver: as in :func:`sensing_channel`.
         microbatch: targets in flight; None takes what a quarter of the free memory holds, at most 16.
 
     Returns:
@@ -119,7 +129,7 @@ def sensing_channels(
 
     def one(target):
         body, chi = target
-        return sensing_channel(array, body, chi, solver=solver, frequencies_hz=frequencies_hz)
+        return sensing_channel(array, body, chi, solver=solver, frequencies_hz=frequencies_hz, receiver=receiver)
 
     return jax.lax.map(one, (cells._replace(fill=fill), jnp.asarray(contrast)), batch_size=size)
 
@@ -135,22 +145,26 @@ def _microbatch(count: int, dtype) -> int:
     return int(np.clip(0.25 * free // each, 1, 16))
 
 
-@partial(jax.jit, static_argnames=("array", "solver", "frequency_hz"))
-def _channel(array, cells, contrast, solver, frequency_hz):
+@partial(jax.jit, static_argnames=("solver", "frequency_hz"))
+def _channel(array, receiver, cells, contrast, solver, frequency_hz):
     k = wavenumber(frequency_hz)
     cells = jax.tree.map(jnp.asarray, cells)
     dtype = cells.positions.dtype
-    fields = dipole_fields(
-        cells.positions, jnp.asarray(array.positions, dtype), jnp.asarray(array.polarization, dtype), k
-    )
-    fields = weighted_fields(cells, fields)
+    fields = [
+        weighted_fields(cells, dipole_fields(
+            cells.positions, jnp.asarray(end.positions, dtype), jnp.asarray(end.moments, dtype), k))
+        for end in (array, receiver) if end is not None
+    ]
     if solver == "krylov":
+        # The stationary form wants both ends' fields solved for: one joint problem, of which one block is the answer.
+        both = jnp.concatenate(fields, axis=1)
         matrix = interaction_matrix(cells, k)
-        solution = solve_krylov(*jax.lax.stop_gradient((matrix, contrast, fields)))
-        channel = k**2 * stationary_channel(matrix, contrast, fields, solution)
+        solution = solve_krylov(*jax.lax.stop_gradient((matrix, contrast, both)))
+        channel = k**2 * stationary_channel(matrix, contrast, both, solution)
+        channel = channel[-fields[-1].shape[1] :, : fields[0].shape[1]]
     else:
-        channel = k**2 * fields.T @ _POLARIZATIONS[solver](cells, contrast, fields, k)
-    return 0.5 * (channel + channel.T)
+        channel = k**2 * fields[-1].T @ _POLARIZATIONS[solver](cells, contrast, fields[0], k)
+    return channel if receiver is not None else 0.5 * (channel + channel.T)
 
 
 def _mom(cells: Cells, contrast, fields, k):

@@ -17,14 +17,13 @@ no information that an estimator could use, although F counts it. The unknown ga
 
 from __future__ import annotations
 
-from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from august_jax.physics.array import PlanarArray, wavenumber
+from august_jax.physics.array import AntennaArray, PlanarArray, wavenumber
 from august_jax.physics.materials import contrast
 from august_jax.physics.response import Body, body_channel
 
@@ -60,7 +59,7 @@ KNOWN_GAIN = Prior(log_gain=1e-4, phase=1e-4)
 
 def fisher_information(
     body: Body,
-    array: PlanarArray,
+    array: PlanarArray | AntennaArray,
     rotation: jax.Array,
     position: jax.Array,
     permittivity: jax.Array,
@@ -68,17 +67,20 @@ def fisher_information(
     snr: jax.Array,
     *,
     illumination: jax.Array | None = None,
+    receiver: PlanarArray | AntennaArray | None = None,
 ) -> np.ndarray:
     """Fisher information of one pose, or of a batch.
 
     Args:
         body: a factored body; its tones are used together.
-        array: the antennas.
+        array: the antennas, transmitting and, without ``receiver``, receiving.
         rotation: body to world (..., 3, 3).
         position: of the body's origin (..., 3) [m].
         permittivity, conductivity: of the body (...,), [1] and [S/m].
         snr: linear, over all antennas, symbols (N_b of them) and tones.
         illumination: Q (..., N_b, N_b), proportional to X X^H; None lights all directions alike.
+        receiver: the antennas that receive, where they are not those that transmit. What several receivers know adds
+            up, once each one's own gain is marginalised: :func:`without_gain`.
 
     Returns:
         (..., 10, 10) float64, in the order of ``PARAMETERS``.
@@ -92,14 +94,13 @@ def fisher_information(
         jnp.broadcast_to(jnp.asarray(conductivity, jnp.float32), batch).reshape(-1),
         jnp.broadcast_to(lit.astype(jnp.complex64), (*batch, array.count, array.count)).reshape(-1, *lit.shape[-2:]),
     )
-    gram, energy = (np.asarray(value, np.float64) for value in _gram(body, array, *parts))
-    noise_samples = array.count**2 * len(body.frequencies_hz)
+    gram, energy = (np.asarray(value, np.float64) for value in _gram(body, array, receiver, *parts))
+    noise_samples = array.count * (receiver or array).count * len(body.frequencies_hz)
     information = 2.0 * np.reshape(snr, (-1, 1, 1)) * noise_samples * gram / energy[:, None, None]
     # The range's absolute phase, left out of the derivatives for the sake of their digits, comes back here exactly.
     k = np.mean([wavenumber(tone) for tone in body.frequencies_hz])
-    toward = np.asarray(parts[1], np.float64)
-    change = np.tile(np.eye(len(PARAMETERS)), (len(toward), 1, 1))
-    change[:, 9, :3] = 2.0 * k * toward / np.linalg.norm(toward, axis=1, keepdims=True)
+    change = np.tile(np.eye(len(PARAMETERS)), (len(parts[1]), 1, 1))
+    change[:, 9, :3] = k * sum(_toward(end, np.asarray(parts[1], np.float64)) for end in (array, receiver or array))
     information = change.transpose(0, 2, 1) @ information @ change
     return information.reshape(*batch, len(PARAMETERS), len(PARAMETERS))
 
@@ -137,30 +138,86 @@ def tilt_bound(information: np.ndarray, normal: np.ndarray, prior: Prior = Prior
     return np.sqrt(np.trace(turns, axis1=-2, axis2=-1) - along)
 
 
-@partial(jax.jit, static_argnames="array")
-def _gram(body, array, rotation, position, permittivity, conductivity, illumination):
-    """Re tr(d_a H Q d_b H^H) (B, 10, 10) and tr(H Q H^H) (B,), with the phase 2k(|t| - |t0|) taken out of H."""
+def without_gain(information: np.ndarray) -> np.ndarray:
+    """What is left of the information (..., 8, 8), float64, when the complex gain is unknown: its Schur complement.
+
+    Echoes that do not share a gain (several stations) add these.
+    """
+    information = np.asarray(information, np.float64)
+    own, cross, gain = information[..., :8, :8], information[..., :8, 8:], information[..., 8:, 8:]
+    return own - cross @ np.linalg.solve(gain, np.swapaxes(cross, -1, -2))
+
+
+def unknown_gain_position_bound(
+    body: Body,
+    array: PlanarArray | AntennaArray,
+    rotation: jax.Array,
+    position: jax.Array,
+    permittivity: jax.Array,
+    conductivity: jax.Array,
+    snr: jax.Array,
+    prior: Prior = Prior(),
+) -> jax.Array:
+    """:func:`position_bound` of one pose for an unknown gain, as a JAX function: what a design descends.
+
+    Arguments as in :func:`fisher_information`, without a batch; differentiable in all of them and in an
+    :class:`AntennaArray`. In single precision: for SNRs up to about 30 dB.
+
+    Returns:
+        Root-mean-square position error [m], float32.
+    """
+    value, slopes = _slopes(body, array, None, rotation, position, permittivity, conductivity)
+    scaled = slopes[..., :8] * jnp.asarray(prior.deviations()[:8], jnp.float32)
+    # An unknown gain explains whatever in a slope is parallel to H.
+    energy = jnp.sum(jnp.abs(value) ** 2)
+    parallel = jnp.einsum("fmn,fmnp->p", value.conj(), scaled) / energy
+    scaled = scaled - value[..., None] * parallel
+    gram = jnp.real(jnp.einsum("fmnp,fmnq->pq", scaled, scaled.conj()))
+    information = 2.0 * snr * value.size / energy * gram
+    covariance = jnp.linalg.inv(information + jnp.eye(8, dtype=information.dtype))
+    return prior.position_m * jnp.sqrt(jnp.trace(covariance[:3, :3]))
+
+
+def _toward(array, place):
+    """Unit vectors (..., 3) from an array's centre to places (..., 3)."""
+    module = np if isinstance(array, PlanarArray) and isinstance(place, np.ndarray) else jnp
+    offset = place - module.mean(module.asarray(array.positions), axis=0)
+    return offset / module.sqrt(module.sum(offset**2, axis=-1, keepdims=True))
+
+
+def _slopes(body, array, receiver, rotation, position, permittivity, conductivity):
+    """H (F, N_r, N_b) and its derivatives (F, N_r, N_b, 10) at one pose, over H's largest entry.
+
+    The common phase of the two ways there and back is taken out of the derivatives in position.
+    """
     tones = jnp.asarray(body.frequencies_hz, jnp.float32)
     middle = float(np.mean([wavenumber(tone) for tone in body.frequencies_hz]))
+    ends = (array, receiver if receiver is not None else array)
+    outward = sum(_toward(end, jax.lax.stop_gradient(position)) for end in ends)
 
-    def one(turn0, place0, epsilon0, sigma0, lit):
-        def channel(theta):
-            w = theta[3:6]
-            cross = jnp.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])
-            place = place0 + theta[:3]
-            chi = contrast(epsilon0 + theta[6], sigma0 + theta[7], tones).astype(jnp.complex64)
-            h = body_channel(body, array, turn0 + cross @ turn0, place, chi[0] if body.single else chi)
-            h = h.reshape(len(body.frequencies_hz), array.count, array.count)
-            toward = place0 / jnp.sqrt(jnp.sum(place0**2))
-            farther = theta[:3] @ toward  # |t| - |t0| to first order, all that a derivative sees
-            return h * jnp.exp(theta[8] + 1j * (theta[9] - 2.0 * middle * farther))
+    def channel(theta):
+        w = theta[3:6]
+        cross = jnp.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])
+        chi = contrast(permittivity + theta[6], conductivity + theta[7], tones).astype(jnp.complex64)
+        h = body_channel(body, array, rotation + cross @ rotation, position + theta[:3],
+                         chi[0] if body.single else chi, receiver=receiver)
+        h = h.reshape(len(body.frequencies_hz), ends[1].count, array.count)
+        farther = theta[:3] @ outward  # of both ways, to first order, all that a derivative sees
+        return h * jnp.exp(theta[8] + 1j * (theta[9] - middle * farther))
 
-        start = jnp.zeros(len(PARAMETERS), jnp.float32)
-        value = channel(start)
-        slopes = jax.jacfwd(channel)(start)
-        # H is near 1e-6: scale it before squaring in single precision.
-        scale = jnp.max(jnp.abs(value))
-        value, slopes = value / scale, slopes / scale
+    start = jnp.zeros(len(PARAMETERS), jnp.float32)
+    value, slopes = channel(start), jax.jacfwd(channel)(start)
+    # H is near 1e-6: scale it before squaring in single precision.
+    scale = jax.lax.stop_gradient(jnp.max(jnp.abs(value)))
+    return value / scale, slopes / scale
+
+
+@jax.jit
+def _gram(body, array, receiver, rotation, position, permittivity, conductivity, illumination):
+    """Re tr(d_a H Q d_b H^H) (B, 10, 10) and tr(H Q H^H) (B,), with the common phase of the way taken out of H."""
+
+    def one(turn, place, epsilon, sigma, lit):
+        value, slopes = _slopes(body, array, receiver, turn, place, epsilon, sigma)
         lit_slopes = jnp.einsum("fmnp,nk->fmkp", slopes, lit)
         gram = jnp.real(jnp.einsum("fmkp,fmkq->pq", lit_slopes, slopes.conj()))
         energy = jnp.real(jnp.sum(jnp.einsum("fmn,nk->fmk", value, lit) * value.conj()))

@@ -30,14 +30,14 @@ import zipfile
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from functools import lru_cache, partial
+from functools import lru_cache
 from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from august_jax.physics.array import PlanarArray, wavenumber
+from august_jax.physics.array import AntennaArray, PlanarArray, wavenumber
 from august_jax.physics.cells import Cells
 from august_jax.physics.checks import check_cells, is_concrete
 from august_jax.physics.green import dipole_fields_about
@@ -200,20 +200,29 @@ def alike(bodies: Sequence[Body]) -> list[Body]:
 
 
 def body_channel(
-    body: Body, array: PlanarArray, rotation: jax.Array, translation: jax.Array, contrast: jax.Array
+    body: Body,
+    array: PlanarArray | AntennaArray,
+    rotation: jax.Array,
+    translation: jax.Array,
+    contrast: jax.Array,
+    *,
+    receiver: PlanarArray | AntennaArray | None = None,
 ) -> jax.Array:
     """Sensing channel of a factored body in a pose: equal to the coupled solve of the moved cells.
 
     Args:
         body: from :func:`factor_body`.
-        array: the antennas.
+        array: the antennas, transmitting and, without ``receiver``, receiving.
         rotation: body axes to world axes (3, 3).
         translation: origin of the body's frame in the world (3,) [m].
         contrast: chi, scalar; with several tones also (F,).
+        receiver: the antennas that receive, where they are not those that transmit.
 
     Returns:
-        H [1/m] (N_b, N_b), or (F, N_b, N_b) for a body of several tones; complex64, symmetric. Differentiable in
-        rotation, translation and contrast; ``jax.vmap`` over them makes batches.
+        H [1/m] (N_b, N_b), or (F, N_b, N_b) for a body of several tones; complex64, symmetric without ``receiver``;
+        rows receive, columns transmit. Differentiable in rotation, translation, contrast and an
+        :class:`AntennaArray`; ``jax.vmap`` over them makes batches. Planar arrays are the fastest: few of their
+        elements are computed, and determine the others.
 
     Raises:
         ValueError: mismatched shapes, or a body nearer than ``body.nearest_m`` to an antenna.
@@ -224,49 +233,66 @@ def body_channel(
     tones = len(body.frequencies_hz)
     if np.shape(contrast) not in ((), (tones,)):
         raise ValueError(f"contrast: got shape {np.shape(contrast)}; give a scalar or ({tones},), one value a tone")
-    if is_concrete(translation):
-        gap = float(np.linalg.norm(np.asarray(translation) - array.positions, axis=1).min())
-        if not gap >= body.nearest_m * (1.0 - 1e-6):
-            raise ValueError(
-                f"translation: the body is {gap:.3g} m from an antenna, but was factored for {body.nearest_m:g} m and "
-                "beyond; pass a smaller nearest_m to factor_body"
-            )
-    return _body_channel(body, array, jnp.asarray(rotation), jnp.asarray(translation), jnp.asarray(contrast))
+    for end in (array, receiver):
+        if end is not None and is_concrete((translation, end)):
+            gap = float(np.linalg.norm(np.asarray(translation) - np.asarray(end.positions), axis=1).min())
+            if not gap >= body.nearest_m * (1.0 - 1e-6):
+                raise ValueError(
+                    f"translation: the body is {gap:.3g} m from an antenna, but was factored for {body.nearest_m:g} m "
+                    "and beyond; pass a smaller nearest_m to factor_body"
+                )
+    return _body_channel(body, array, receiver, *(jnp.asarray(part) for part in (rotation, translation, contrast)))
 
 
-@partial(jax.jit, static_argnames="array")
-def _body_channel(body, array, rotation, translation, contrast):
-    positions = array.positions
-    centre = positions.mean(axis=0)
-    base = (translation - jnp.asarray(centre, jnp.float32)).astype(jnp.float32)
+@jax.jit
+def _body_channel(body, array, receiver, rotation, translation, contrast):
     rotation = rotation.astype(jnp.float32)
     contrasts = jnp.broadcast_to(contrast, (len(body.frequencies_hz),)).astype(jnp.complex64)
-    moment = jnp.asarray(array.polarization, jnp.float32)
     channels = []
     for tone, frequency in enumerate(body.frequencies_hz):
-        k = wavenumber(frequency)
-        chosen, spread = aperture_skeleton(array, frequency, body.radius_m, body.nearest_m)
-        elements = jnp.asarray(positions - centre, jnp.float32)
-        local = body.points[tone] @ rotation.T
-        world = dipole_fields_about(local, base, elements[chosen], moment, k)
-        fields = jnp.einsum("pna,ab->pbn", world, rotation).reshape(-1, len(chosen))[body.rows[tone]]
-        real, difference, total = body.weights[tone]
-        both = real @ (fields.real + fields.imag)
-        modal = jax.lax.complex(both - total @ fields.imag, both + difference @ fields.real)
         chi = contrasts[tone]
-        gain = (k**2) * chi / (1.0 - chi * body.eigenvalues[tone])
+        gain = (wavenumber(frequency) ** 2) * chi / (1.0 - chi * body.eigenvalues[tone])
+        sent, spread = _modal_fields(body, tone, array, rotation, translation)
+        heard, gather = (sent, spread) if receiver is None else _modal_fields(
+            body, tone, receiver, rotation, translation)
         # Fields are O(0.1/r) and the cells' volumes O(1e-6): the product stays far above the smallest float32.
-        small = modal.T @ (gain[:, None] * modal)
-        # Interpolation over the aperture, on fields whose phases to the body's centre are removed.
-        to_centre = base - elements
-        r = jnp.sqrt(jnp.sum(to_centre**2, axis=-1))
-        far = jnp.sqrt(jnp.sum(base**2))
-        path = jnp.sum(elements * (elements - 2.0 * base), axis=-1) / (r + far)
-        phase = jnp.exp(1j * k * path)
-        expand = phase[:, None] * jnp.asarray(spread, jnp.complex64) * phase[chosen].conj()
-        channel = expand @ small @ expand.T
-        channels.append(0.5 * (channel + channel.T))
+        channel = heard.T @ (gain[:, None] * sent)
+        if gather is not None:
+            channel = gather @ channel
+        if spread is not None:
+            channel = channel @ spread.T
+        channels.append(channel if receiver is not None else 0.5 * (channel + channel.T))
     return channels[0] if body.single else jnp.stack(channels)
+
+
+def _modal_fields(body, tone, array, rotation, translation):
+    """F of some antennas in the body's modes (n, K), and how they determine all: (N_b, K), or None where K = N_b."""
+    frequency = body.frequencies_hz[tone]
+    k = wavenumber(frequency)
+    planar = isinstance(array, PlanarArray)
+    if planar:
+        chosen, spread = aperture_skeleton(array, frequency, body.radius_m, body.nearest_m)
+        centre = array.positions.mean(axis=0)
+    else:
+        chosen, centre = slice(None), jnp.mean(jnp.asarray(array.positions, jnp.float32), axis=0)
+    elements = jnp.asarray(array.positions - centre, jnp.float32)
+    moments = jnp.asarray(array.moments, jnp.float32)[chosen]
+    base = (translation - jnp.asarray(centre, jnp.float32)).astype(jnp.float32)
+    local = body.points[tone] @ rotation.T
+    world = dipole_fields_about(local, base, elements[chosen], moments, k)
+    fields = jnp.einsum("pna,ab->pbn", world, rotation).reshape(-1, world.shape[1])[body.rows[tone]]
+    real, difference, total = body.weights[tone]
+    both = real @ (fields.real + fields.imag)
+    modal = jax.lax.complex(both - total @ fields.imag, both + difference @ fields.real)
+    if not planar:
+        return modal, None
+    # Interpolation over the aperture, on fields whose phases to the body's centre are removed.
+    to_centre = base - elements
+    r = jnp.sqrt(jnp.sum(to_centre**2, axis=-1))
+    far = jnp.sqrt(jnp.sum(base**2))
+    path = jnp.sum(elements * (elements - 2.0 * base), axis=-1) / (r + far)
+    phase = jnp.exp(1j * k * path)
+    return modal, phase[:, None] * jnp.asarray(spread, jnp.complex64) * phase[chosen].conj()
 
 
 @lru_cache(maxsize=64)
