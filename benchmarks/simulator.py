@@ -1,104 +1,350 @@
-"""Channels per second of the factored body, against the dense solve of the same system, in one run.
+"""The simulator's speed, each figure beside its peers in the same run and beside its error.
 
     python benchmarks/simulator.py --json simulator.json
+    python benchmarks/simulator.py --parts rigid moving                      only some of the parts below
+    taskset -c 0 python benchmarks/simulator.py                              one core
 
-Prints a table and writes JSON: for each airframe-like body, the time of one channel through ``sensing_channel``
-("mom": jitted assembly and ``jnp.linalg.solve`` in complex64), the time of one channel of a batch
-through ``body_channel``, their ratio, and the error of both against the same solve in complex128. The two are timed in turn, and
-the medians are compared. About 4 minutes on two cores for the default size, most of it factoring.
+Parts:
+
+``rigid``
+    one channel of a batch through ``body_channel``, against the same system solved by LU (jitted, complex64), by SciPy
+    (assembly and ``scipy.linalg.solve``, complex64) and by torchgdm, a PyTorch implementation of the Green dyadic
+    method, its simulation and ``postproc.green.G_Ep``.
+``moving``
+    value, and value and gradient in all cell positions, of one target through the Krylov solver, against LU and torchgdm.
+``scaling``
+    ``body_channel`` over cells, antennas and batch.
+``set``
+    channels of the paper's flights, five airframes.
+
+What is compared is timed in turn and by its median; errors are relative to LU in complex128. torchgdm is no dependency:
+`pip install torchgdm==0.61` adds its columns, without it they stay empty. Half an hour on two cores with an empty cache of
+factored bodies, most of it for factoring 4000 cells; a few minutes without ``scaling``.
 """
 
 from __future__ import annotations
 
 import argparse
+import importlib.util
 import json
 import os
 import platform
 import time
+import warnings
+from collections.abc import Callable
 from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from august_jax.physics import PlanarArray, body_channel, contrast, factor_body, sensing_channel
+from august_jax.config import preset
+from august_jax.data.generate import nearest_distance
+from august_jax.physics import (
+    Cells, PlanarArray, alike, body_channel, contrast, dipole_fields, factor_bodies, factor_body, interaction_matrix,
+    sensing_channel,
+)
+from august_jax.physics.mom import weighted_fields
 from august_jax.scene import procedural_airframe, random_rotation
+from august_jax.scene.trajectory import fly_many
+
+FREQUENCY = 3e9
+ARRAY = PlanarArray(16, 4, FREQUENCY)
+TOWARD = np.array([0.6, 0.64, 0.48])
+CHI = complex(contrast(3.0, 5e-3, FREQUENCY))
+SKIN_M = 0.002
+PEER = importlib.util.find_spec("torchgdm") is not None
 
 
-def machine() -> dict[str, str | int]:
-    """What the figures were measured on."""
+def machine() -> dict[str, str | int | float]:
+    """What the figures were measured on, with its rate of single-precision matrix products [Gflop/s]."""
+    square = jnp.ones((3000, 3000), jnp.float32)
+    product = jax.jit(lambda a: a @ a)
+    product(square).block_until_ready()
+    best = min(seconds(lambda: product(square)) for _ in range(5))
     return {
-        "processor": platform.processor() or platform.machine(), "cores": len(os.sched_getaffinity(0)),
-        "device": jax.devices()[0].device_kind, "jax": jax.__version__, "python": platform.python_version(),
+        "processor": processor(), "cores": len(os.sched_getaffinity(0)), "device": jax.devices()[0].device_kind,
+        "jax": jax.__version__, "python": platform.python_version(), "gflop_s": 2.0 * 3000**3 / best / 1e9,
     }
 
 
-def seconds(call) -> float:
-    """Wall time of one call that returns arrays."""
+def processor() -> str:
+    """The processor's own name, where the system tells it."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        return next(line.split(":")[1].strip() for line in lines if line.startswith("model name"))
+    except (OSError, StopIteration):
+        return platform.processor() or platform.machine()
+
+
+def seconds(call: Callable) -> float:
+    """Wall time of one call that returns arrays, JAX's or not."""
     start = time.perf_counter()
     jax.block_until_ready(call())
     return time.perf_counter() - start
 
 
-def measure(name: str, cell_m: float, distance_m: float, batch: int, repeats: int) -> dict:
-    """One row: a procedural airframe at ``distance_m``, permittivity 3."""
-    array = PlanarArray(16, 4, 3e9)
-    cells = procedural_airframe(name).cells(cell_m, 0.002)
-    start = time.perf_counter()
-    body = factor_body(cells, array.frequency_hz, nearest_m=0.9 * distance_m)
-    factoring = time.perf_counter() - start
-    keys = jax.random.split(jax.random.key(0), batch)
-    rotations = jax.vmap(random_rotation)(keys)
-    toward = jnp.asarray([0.6, 0.64, 0.48])
-    places = distance_m * toward + jax.vmap(lambda key: jax.random.uniform(key, (3,), minval=-0.5, maxval=0.5))(keys)
-    chi = contrast(3.0, 5e-3, array.frequency_hz).astype(jnp.complex64)
+def medians(calls: dict[str, Callable], repeats: int) -> dict[str, float]:
+    """Median wall time [s] of each call, timed in turn after one call of each that is not counted."""
+    for call in calls.values():
+        seconds(call)
+    times = [{name: seconds(call) for name, call in calls.items()} for _ in range(repeats)]
+    return {name: float(np.median([each[name] for each in times])) for name in calls}
 
-    fast = jax.jit(jax.vmap(lambda turn, place: body_channel(body, array, turn, place, chi)))
-    plain = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), cells)
-    dense = jax.jit(lambda turn, place: sensing_channel(array, plain.moved(turn, place), chi))
-    channels, one = fast(rotations, places), dense(rotations[0], places[0])
+
+def lattice(cells: int) -> Cells:
+    """quad_x in at most so many cells."""
+    drone = procedural_airframe("quad_x")
+    return drone.cells(drone.cell_size_for(cells, 0.004, SKIN_M), SKIN_M)
+
+
+def poses(count: int, distance_m: float):
+    """Random attitudes, and places within half a metre of one at the distance."""
+    keys = jax.random.split(jax.random.key(0), count)
+    shifts = jax.vmap(lambda key: jax.random.uniform(key, (3,), minval=-0.5, maxval=0.5))(keys)
+    return jax.vmap(random_rotation)(keys), jnp.asarray(distance_m * TOWARD, jnp.float32) + shifts
+
+
+def single(cells: Cells) -> Cells:
+    """In single precision."""
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), cells)
+
+
+def off(value, reference) -> float:
+    """Relative error."""
+    return float(np.linalg.norm(np.asarray(value) - reference) / np.linalg.norm(reference))
+
+
+def in_double(cells: Cells, turn, place, call: Callable):
+    """What ``call`` makes of the cells moved in double precision."""
     with jax.enable_x64(True):
-        turn, place = (np.asarray(part[0], np.float64) for part in (rotations, places))
-        moved = cells.moved(jnp.asarray(turn), jnp.asarray(place))
-        exact = np.asarray(sensing_channel(array, moved, complex(chi)))
-    times = {"dense": [], "factored": []}
-    for _ in range(repeats):
-        times["dense"].append(seconds(lambda: dense(rotations[0], places[0])))
-        times["factored"].append(seconds(lambda: fast(rotations, places)) / batch)
-    dense_s, factored_s = (float(np.median(times[kind])) for kind in ("dense", "factored"))
+        moved = cells.moved(*(jnp.asarray(np.asarray(part, np.float64)) for part in (turn, place)))
+        return jax.tree.map(np.asarray, call(moved))
 
-    def error(channel):
-        return float(np.linalg.norm(np.asarray(channel) - exact) / np.linalg.norm(exact))
 
-    return {
-        "airframe": name, "cells": cells.count, "antennas": array.count, "batch": batch, "distance_m": distance_m,
-        "factoring_or_cache_s": factoring, "dense_s": dense_s, "factored_s": factored_s, "ratio": dense_s / factored_s,
-        "dense_error": error(one), "factored_error": error(channels[0]),
+def peer(positions_m: np.ndarray, edge_m: float):
+    """torchgdm's channel of solid cells, and its value and gradient in the cells' positions (no arguments)."""
+    import torch
+    import torchgdm as tg
+
+    torch.set_num_threads(len(os.sched_getaffinity(0)))
+    antennas = torch.as_tensor(1e9 * ARRAY.positions, dtype=torch.float32)
+
+    def channel(positions):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            body = tg.struct.StructDiscretized3D(positions, tg.materials.MatConstant(1.0 + CHI), step=1e9 * edge_m,
+                                                 on_distance_violation="ignore")
+            simulation = tg.simulation.Simulation([body], tg.env.EnvHomogeneous3D(env_material=1.0), [],
+                                                  [1e9 * ARRAY.wavelength])
+            # Probes a little off the sources: the free-space term, which torchgdm adds, is infinite at them.
+            return tg.postproc.green.G_Ep(simulation, antennas + 1e7, antennas, 1e9 * ARRAY.wavelength)
+
+    def forward():
+        with torch.no_grad():
+            return channel(torch.as_tensor(1e9 * positions_m, dtype=torch.float32)).numpy()
+
+    def gradient():
+        positions = torch.as_tensor(1e9 * positions_m, dtype=torch.float32).requires_grad_()
+        channel(positions).abs().square().sum().backward()
+        return positions.grad.numpy()
+
+    return forward, gradient
+
+
+def rigid(args) -> list[dict]:
+    """``body_channel`` against LU, SciPy and torchgdm."""
+    import scipy.linalg
+
+    cells = lattice(args.cells)
+    moving = single(cells)
+    rows = []
+    for distance in args.distance:
+        body, factoring = factored(cells, 0.9 * distance)
+        rotations, places = poses(args.batch, distance)
+        chi = jnp.asarray(CHI, jnp.complex64)
+        fast = jax.jit(jax.vmap(lambda turn, place: body_channel(body, ARRAY, turn, place, chi)))
+        dense = jax.jit(lambda turn, place: sensing_channel(ARRAY, moving.moved(turn, place), chi))
+        moved = moving.moved(rotations[0], places[0])
+        matrix = np.asarray(jax.jit(interaction_matrix)(moved, ARRAY.wavenumber))
+        fields = np.asarray(weighted_fields(moved, dipole_fields(
+            moved.positions, jnp.asarray(ARRAY.positions, jnp.float32), jnp.asarray(ARRAY.moments, jnp.float32),
+            ARRAY.wavenumber)))
+        system = np.eye(len(matrix), dtype=np.complex64) / np.complex64(CHI) - matrix
+        calls = {
+            "factored": lambda: fast(rotations, places),
+            "dense": lambda: dense(rotations[0], places[0]),
+            "scipy": lambda: fields.T @ scipy.linalg.solve(system, fields, check_finite=False),
+        }
+        if PEER:
+            calls["torchgdm"] = peer(np.asarray(moved.positions), float(np.cbrt(cells.volumes[0])))[0]
+        times = medians(calls, args.repeats)
+        times["factored"] /= args.batch
+        exact = in_double(cells, rotations[0], places[0], lambda c: sensing_channel(ARRAY, c, CHI))
+        flop = 6.0 * np.prod(body.weights.shape[-2:]) * len(chosen(body))
+        row = {"cells": cells.count, "distance_m": distance, "batch": args.batch, "factoring_or_cache_s": factoring,
+               "modes": list(body.weights.shape[-2:]),
+               **{f"{name}_s": value for name, value in times.items()},
+               **{f"{name}_over_factored": times[name] / times["factored"] for name in times if name != "factored"},
+               "factored_error": off(fast(rotations, places)[0], exact),
+               "dense_error": off(calls["dense"](), exact), "factored_gflop_s": flop / times["factored"] / 1e9}
+        rows.append(row)
+        print(f"rigid   {cells.count} cells, {distance:g} m: factored {1e3 * times['factored']:.2f} ms "
+              f"(error {row['factored_error']:.1e}, {row['factored_gflop_s']:.0f} Gflop/s); "
+              + ", ".join(f"{name} {1e3 * value:.0f} ms = {value / times['factored']:.0f} x"
+                          for name, value in times.items() if name != "factored")
+              + f"; error of dense {row['dense_error']:.1e}", flush=True)
+    return rows
+
+
+def chosen(body) -> np.ndarray:
+    """The antennas whose fields are computed."""
+    from august_jax.physics.response import aperture_skeleton
+
+    return aperture_skeleton(ARRAY, FREQUENCY, body.radius_m, body.nearest_m)[0]
+
+
+def factored(cells: Cells, nearest_m: float):
+    """The factored body, and how long it took to make it or to find it in the cache [s]."""
+    start = time.perf_counter()
+    body = factor_body(cells, FREQUENCY, nearest_m=nearest_m)
+    return body, time.perf_counter() - start
+
+
+def moving(args) -> list[dict]:
+    """Krylov against LU and torchgdm, value and gradient in all positions."""
+    cells, distance = lattice(args.cells), max(args.distance)
+    rotations, places = poses(1, distance)
+    body = jax.tree.map(jnp.asarray, single(cells).moved(rotations[0], places[0]))
+    random = np.random.default_rng(0)
+    weights = random.normal(size=(2, ARRAY.count, ARRAY.count))
+    weights = weights + weights.transpose(0, 2, 1)
+
+    def loss(positions, solver, target):
+        channel = sensing_channel(ARRAY, target._replace(positions=positions), CHI, solver=solver)
+        return 1e6 * jnp.sum(weights[0] * channel.real + weights[1] * channel.imag)
+
+    calls = {}
+    for solver in ("krylov", "mom"):
+        value = jax.jit(lambda positions, solver=solver: loss(positions, solver, body))
+        both = jax.jit(jax.value_and_grad(lambda positions, solver=solver: loss(positions, solver, body)))
+        calls[f"{solver}_value"] = lambda value=value: value(body.positions)
+        calls[f"{solver}_gradient"] = lambda both=both: both(body.positions)
+    if PEER:
+        calls["torchgdm_value"], calls["torchgdm_gradient"] = peer(
+            np.asarray(body.positions), float(np.cbrt(cells.volumes[0])))
+    times = medians(calls, args.repeats)
+    # What is given are the positions in single precision: the same ones in double are the reference.
+    with jax.enable_x64(True):
+        double = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf, np.float64)), body)
+        exact = sensing_channel(ARRAY, double, CHI)
+        slopes = jax.grad(lambda positions: loss(positions, "mom", double))(double.positions)
+        exact, slopes = np.asarray(exact), np.asarray(slopes)
+    row = {"cells": cells.count, "distance_m": distance, **{f"{name}_s": value for name, value in times.items()}}
+    for solver in ("krylov", "mom"):
+        found = calls[f"{solver}_gradient"]()
+        channel = sensing_channel(ARRAY, body, CHI, solver=solver)
+        row[f"{solver}_error"] = off(channel, exact)
+        row[f"{solver}_gradient_error"] = off(found[1], slopes)
+        row[f"{solver}_gradient_over_value"] = times[f"{solver}_gradient"] / times[f"{solver}_value"]
+        for kind in ("value", "gradient"):
+            if PEER:
+                row[f"torchgdm_over_{solver}_{kind}"] = times[f"torchgdm_{kind}"] / times[f"{solver}_{kind}"]
+        print(f"moving  {cells.count} cells, {solver}: value {times[f'{solver}_value']:.2f} s "
+              f"(error {row[f'{solver}_error']:.1e}), value and gradient {times[f'{solver}_gradient']:.2f} s = "
+              f"{row[f'{solver}_gradient_over_value']:.2f} x (error {row[f'{solver}_gradient_error']:.1e})", flush=True)
+    if PEER:
+        print(f"        torchgdm: value {times['torchgdm_value']:.2f} s = "
+              f"{row['torchgdm_over_krylov_value']:.1f} x krylov, value and gradient {times['torchgdm_gradient']:.2f} s"
+              f" = {row['torchgdm_over_krylov_gradient']:.1f} x", flush=True)
+    return [row]
+
+
+def scaling(args) -> list[dict]:
+    """``body_channel`` over cells, antennas and batch; each sweep in turn, relative to its own middle."""
+    distance, chi = max(args.distance), jnp.asarray(CHI, jnp.complex64)
+    bodies = {}
+    for count in args.sweep:
+        cells = lattice(count)
+        bodies[cells.count], spent = factored(cells, 0.9 * distance)
+        print(f"scaling {cells.count} cells: {spent:.0f} s to factor or to read, error "
+              f"{bodies[cells.count].error:.1e}, {bodies[cells.count].weights.shape[-2]} modes", flush=True)
+    middle = bodies[min(bodies, key=lambda count: abs(count - 1000))]
+
+    def call(body, array, batch):
+        fast = jax.jit(jax.vmap(lambda turn, place: body_channel(body, array, turn, place, chi)))
+        where = poses(batch, distance)
+        return lambda: fast(*where)
+
+    sweeps = {
+        "cells": {count: (call(body, ARRAY, args.batch), args.batch) for count, body in bodies.items()},
+        "antennas": {nx * nz: (call(middle, PlanarArray(nx, nz, FREQUENCY), args.batch), args.batch)
+                     for nx, nz in ((4, 4), (8, 4), (16, 4), (16, 8), (16, 16))},
+        "batch": {batch: (call(middle, ARRAY, batch), batch) for batch in (1, 4, 16, 64, 256)},
     }
+    rows = []
+    for name, calls in sweeps.items():
+        times = medians({size: run for size, (run, _) in calls.items()}, args.repeats)
+        each = {size: times[size] / batch for size, (_, batch) in calls.items()}
+        rows += [{"sweep": name, "size": size, "factored_s": value} for size, value in each.items()]
+        print(f"scaling over {name}: " + ", ".join(f"{size}: {1e3 * value:.2f} ms" for size, value in each.items()),
+              flush=True)
+    return rows
+
+
+def paper_set(args) -> list[dict]:
+    """Channels of the paper's flights through five airframes' bodies: factoring and channels, each timed."""
+    config = preset("paper")
+    nearest = nearest_distance(config)
+    start = time.perf_counter()
+    lattices = []
+    for name in config.target.airframes:
+        drone = procedural_airframe(name, config.target.half_wheelbase_m)
+        size = drone.cell_size_for(config.target.max_cells, config.target.cell_m, config.target.skin_m)
+        lattices.append(drone.cells(size, config.target.skin_m))
+    bodies = alike(factor_bodies(lattices, config.array.frequency_hz, nearest_m=nearest))
+    factoring = time.perf_counter() - start
+    array = PlanarArray(config.array.nx, config.array.nz, config.array.frequency_hz)
+    chi = jnp.asarray(CHI, jnp.complex64)
+    fast = jax.jit(jax.vmap(lambda body, turn, place: body_channel(body, array, turn, place, chi), (None, 0, 0)))
+    start = time.perf_counter()
+    flights = -(-args.count // config.flight.slots)
+    tracks = fly_many(jax.random.split(jax.random.key(0), flights), config.flight)
+    rotations, places = (part.reshape(-1, *part.shape[2:])[: args.count] for part in (tracks.rotations, tracks.positions))
+    done = 0
+    for first in range(0, args.count, args.batch):
+        turns, where = (part[first : first + args.batch].astype(jnp.float32) for part in (rotations, places))
+        if len(turns) < args.batch:  # one shape, one compilation
+            turns, where = (jnp.concatenate([part] * args.batch)[: args.batch] for part in (turns, where))
+        fast(bodies[(first // args.batch) % len(bodies)], turns, where).block_until_ready()
+        done += args.batch
+    spent = time.perf_counter() - start
+    sizes = [cells.count for cells in lattices]
+    print(f"set     {args.count} channels of {len(bodies)} airframes ({min(sizes)} to {max(sizes)} cells): {spent:.0f} s, "
+          f"flights and compiling counted; factoring or reading the bodies {factoring:.0f} s", flush=True)
+    return [{"count": args.count, "cells": sizes, "channels_s": spent, "factoring_or_cache_s": factoring}]
+
+
+PARTS = {"rigid": rigid, "moving": moving, "set": paper_set, "scaling": scaling}
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", type=Path, help="also write the rows here")
-    parser.add_argument("--airframes", nargs="+", default=["quad_x"])
-    parser.add_argument("--cell-mm", type=float, default=12.0)
-    parser.add_argument("--distance", type=float, nargs="+", default=[7.0, 20.0], help="metres")
+    parser.add_argument("--parts", nargs="+", choices=PARTS, default=list(PARTS))
+    parser.add_argument("--cells", type=int, default=1000, help="at most so many, for rigid and moving")
+    parser.add_argument("--sweep", type=int, nargs="+", default=[250, 500, 1000, 2000, 4000], help="cells of scaling")
+    parser.add_argument("--distance", type=float, nargs="+", default=[5.0, 20.0], help="metres")
     parser.add_argument("--batch", type=int, default=128)
+    parser.add_argument("--count", type=int, default=50_000, help="channels of set")
     parser.add_argument("--repeats", type=int, default=5)
     args = parser.parse_args()
-    about = machine()
-    print(about)
-    print("airframe      cells  place [m]  dense [ms]  factored [ms]   ratio  dense error  factored error")
-    rows = []
-    for name in args.airframes:
-        for distance in args.distance:
-            row = measure(name, args.cell_mm / 1e3, distance, args.batch, args.repeats)
-            rows.append(row)
-            print(f"{name:12s}  {row['cells']:5d}  {distance:9.0f}  {1e3 * row['dense_s']:10.0f}"
-                  f"  {1e3 * row['factored_s']:13.2f}"
-                  f"  {row['ratio']:6.0f}  {row['dense_error']:11.1e}  {row['factored_error']:14.1e}", flush=True)
-    if args.json:
-        args.json.write_text(json.dumps({"machine": about, "rows": rows}, indent=1))
+    results = {"machine": machine()}
+    print(results["machine"], flush=True)
+    for part in args.parts:
+        results[part] = PARTS[part](args)
+        if args.json:
+            args.json.write_text(json.dumps(results, indent=1))
 
 
 if __name__ == "__main__":

@@ -11,6 +11,8 @@ No factor j w mu0 is applied anywhere, as in the paper.
 
 from __future__ import annotations
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -45,13 +47,57 @@ def coupling_matrix(positions: jax.Array, wavenumber: float | jax.Array) -> jax.
         wavenumber: k [rad/m].
 
     Returns:
-        (3N, 3N) complex [1/m]; row 3i + a, column 3j + b holds G_ab(p_i, p_j).
+        (3N, 3N) complex [1/m]; row 3i + a, column 3j + b holds G_ab(p_i, p_j). Differentiable once in positions where
+        the wavenumber is a plain number, as often as one likes, and in the wavenumber, where it is an array.
     """
-    count = positions.shape[0]
-    same = jnp.eye(count, dtype=bool)[..., None]
+    if isinstance(wavenumber, (int, float)):
+        return _coupling(positions, float(wavenumber))
+    return _coupling.fun(positions, wavenumber)
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(1,))
+def _coupling(positions, wavenumber):
+    separation, same = _separations(positions)
+    return _in_rows(jnp.where(same[..., None, None], 0.0, dyadic_green(separation, wavenumber)))
+
+
+@_coupling.defjvp
+def _coupling_tangent(wavenumber, primals, tangents):
+    """The derivative by hand, in (N, N) arrays: what autodiff keeps and reads back is several times larger.
+
+    G = A r^ r^T + B I, with A = g w and B = -h w; s is the change of distance.
+    """
+    (positions,), (moved,) = primals, tangents
+    separation, same = _separations(positions)
+    r = jnp.sqrt(jnp.sum(separation**2, axis=-1))
+    unit = [separation[..., axis] / r for axis in range(3)]
+    k = wavenumber
+    g, h = _radial_factors(k * r)
+    wave = jnp.where(same, 0.0, jnp.exp(1j * k * r) / (_FOUR_PI * r))
+    slope = wave * (1j * k - 1.0 / r)
+    square, cube = 1.0 / (k * r**2), 1.0 / (k**2 * r**3)
+    along = g * slope + (3j * square - 6.0 * cube) * wave
+    across = g * wave / r
+    isotropic = -(h * slope + (1j * square - 2.0 * cube) * wave)
+    change = [moved[:, None, axis] - moved[None, :, axis] for axis in range(3)]
+    farther = sum(u * d for u, d in zip(unit, change))
+    radial, trace = (along - 2.0 * across) * farther, isotropic * farther
+    blocks = [[radial * (unit[a] * unit[b]) + across * (change[a] * unit[b] + unit[a] * change[b])
+               + (trace if a == b else 0.0) for b in range(3)] for a in range(3)]
+    tangent = jnp.stack([jnp.stack(row, axis=-1) for row in blocks], axis=1)
+    return _coupling(positions, wavenumber), tangent.reshape(3 * len(positions), -1)
+
+
+def _separations(positions):
+    """p_i - p_j (N, N, 3) and where i = j."""
+    same = jnp.eye(positions.shape[0], dtype=bool)
     # A unit vector in place of the zero displacement keeps values and derivatives of the masked blocks finite.
-    separation = jnp.where(same, jnp.ones(3, positions.dtype), positions[:, None] - positions[None])
-    blocks = jnp.where(same[..., None], 0.0, dyadic_green(separation, wavenumber))
+    return jnp.where(same[..., None], jnp.ones(3, positions.dtype), positions[:, None] - positions[None]), same
+
+
+def _in_rows(blocks):
+    """(N, N, 3, 3) to (3N, 3N), point by point."""
+    count = blocks.shape[0]
     return blocks.transpose(0, 2, 1, 3).reshape(3 * count, 3 * count)
 
 
