@@ -26,7 +26,7 @@ from august_jax import metrics
 from august_jax.config import Config
 from august_jax.data import Dataset, Target, as_stored, generate, observed_anew, prepare_targets
 from august_jax.models import reconstruct
-from august_jax.physics import PlanarArray, fisher_information, mean_position_error
+from august_jax.physics import PlanarArray, fisher_information, mean_position_error, tilt_bound
 from august_jax.physics.information import Prior
 from august_jax.pipeline import Networks, Track, rotor_plane_normal
 from august_jax.scene import Airframe, resolve_airframe, rotation_from_euler, transform
@@ -98,18 +98,22 @@ def evaluate(networks: Networks, config: Config, *, seed: int,
         if others is None:
             others = baselines(batch["predicted"], mean, again, normal_key)
         scored = {"august": answer, **others}
-        bound = None
+        bounds: dict[str, float | None] = {"bound_m": None, "bound_mde": None}
         if information is not None:
-            bound = float(np.mean(mean_position_error(10.0 ** (snr_db / 10.0) * information, _prior(config))))
-        rows += [{"scheme": scheme, "snr_db": snr_db, **score(each, truth), "count": count, "bound_m": bound}
+            known, prior = 10.0 ** (snr_db / 10.0) * information, _prior(config)
+            tilts = tilt_bound(known, samples["rotation"][_bounded(samples), :, 2], prior)
+            bounds = {"bound_m": float(np.mean(mean_position_error(known, prior))),
+                      "bound_mde": float(np.mean(0.5 * tilts**2))}  # 1 - cos of small angles
+        rows += [{"scheme": scheme, "snr_db": snr_db, **score(each, truth), "count": count, **bounds}
                  for scheme, each in scored.items()]
         progress(f"SNR {snr_db:g} dB: MPE {rows[-len(scored)]['mpe_m']:.3f} m")
     return rows
 
 
 def unit_information(samples: Mapping[str, np.ndarray], targets: Sequence[Target], config: Config) -> np.ndarray | None:
-    """Fisher information (n, 10, 10) of the first samples at an SNR of 1, pilots of the RoI about q_pre; it grows in
-    proportion to the SNR. None where the data's solver is not the one whose channel can be differentiated here."""
+    """Fisher information (n, 10, 10) of the first samples, airframe by airframe, at an SNR of 1, pilots of the RoI about
+    q_pre; it grows in proportion to the SNR. None where the data's solver is not the one whose channel can be
+    differentiated here."""
     if any(target.body is None for target in targets):
         return None
     array = PlanarArray(config.array.nx, config.array.nz, config.array.frequency_hz)
@@ -125,6 +129,11 @@ def unit_information(samples: Mapping[str, np.ndarray], targets: Sequence[Target
                 target.body, array, samples["rotation"][mine], samples["position"][mine],
                 samples["permittivity"][mine], samples["conductivity"][mine], 1.0, illumination=lit))
     return np.concatenate(found)
+
+
+def _bounded(samples: Mapping[str, np.ndarray]) -> np.ndarray:
+    """The samples that :func:`unit_information` takes, in its order."""
+    return np.argsort(samples["airframe"][:_BOUNDED], kind="stable")
 
 
 def _prior(config: Config) -> Prior:

@@ -135,10 +135,10 @@ def evaluation_curves(rows: Sequence[Mapping[str, Any]], png: str | Path, *, tit
             if pairs:
                 axes.plot(*np.array(sorted(pairs.items())).T, label=LABELS.get(scheme, scheme),
                           **{"lw": 1.6, **STYLES.get(scheme, {"marker": "s", "ms": 4})})
-        if metric == "mpe_m":
-            bound = sorted({(row["snr_db"], row["bound_m"]) for row in rows if row["bound_m"] is not None})
-            if bound:
-                axes.plot(*np.array(bound).T, color="#2b9348", lw=1.6, ls="-.", label="bound")
+        column = {"mpe_m": "bound_m", "mde": "bound_mde"}.get(metric)
+        bound = sorted({(row["snr_db"], row[column]) for row in rows if row[column] is not None}) if column else []
+        if bound:
+            axes.plot(*np.array(bound).T, color="#2b9348", lw=1.6, ls="-.", label="bound")
         if logarithmic:
             axes.set_yscale("log")
             axes.yaxis.set_major_formatter("{x:g}")

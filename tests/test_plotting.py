@@ -40,7 +40,7 @@ def test_clouds_fit_one_slot_and_many(tmp_path, slots, wide):
 
 
 def test_evaluation_curves_leave_out_what_is_not_defined(tmp_path):
-    none = {"mpe_m": None, "mde": None, "wd_db": None, "mcd_db": None, "count": 8, "bound_m": 0.02}
+    none = {"mpe_m": None, "mde": None, "wd_db": None, "mcd_db": None, "count": 8, "bound_m": 0.02, "bound_mde": 0.001}
     rows = [{"scheme": scheme, "snr_db": snr, **none, **values} for snr in (0.0, 20.0) for scheme, values in
             {"august": {"mpe_m": 0.1, "mde": 0.02, "wd_db": -20.0, "mcd_db": -30.0}, "prior": {"mpe_m": 0.48}}.items()]
     plotting.evaluation_curves(rows, tmp_path / "evaluation.png", title="made up")
