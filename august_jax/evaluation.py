@@ -62,11 +62,13 @@ def evaluate(networks: Networks, config: Config, *, seed: int,
     All SNRs share the samples, their predictions and the draws of the noise, so that only the SNR makes a difference.
 
     ``bound_m`` is the mean position error that the Fisher information of the first 100 samples leaves to an
-    estimator that knows the airframe but not the complex gain, under a Gaussian prior of the configuration's spread (:mod:`august_jax.physics.information`).
+    estimator that knows the airframe but not the complex gain, under a Gaussian prior of the configuration's spread
+    (:mod:`august_jax.physics.information`); ``bound_mde`` is half the mean square of the tilt error that it leaves.
 
     Returns:
         For each SNR and scheme a row ``scheme``, ``snr_db``, ``mpe_m`` [m], ``mde``, ``wd_db``, ``mcd_db`` [dB re
-        1 m^2], ``count`` and ``bound_m`` [m]; None where a scheme does not define a metric or the bound is not known.
+        1 m^2], ``count``, ``bound_m`` [m] and ``bound_mde``; None where a scheme does not define a metric or the bound is
+        not known.
     """
     count, slots = config.evaluate.count, config.flight.slots
     fresh = replace(config, data=replace(config.data, seed=_FRESH + seed))

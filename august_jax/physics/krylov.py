@@ -118,7 +118,7 @@ def _leading(fields):
         # Columns below the floor are zeroed: they converge at once.
         found.append(jnp.where(values[-half:] > floor**2 * largest, vectors[:, -half:], 0.0)[:, ::-1])
         basis = jnp.concatenate(found, axis=1)
-        basis = basis[:, jnp.argsort(jnp.all(basis == 0, axis=0), stable=True)]
+        basis = basis[:, jnp.argsort(jnp.all(basis == 0, axis=0), stable=True)[: fields.shape[1]]]
         # What is weak was found beside the rounding errors of what is strong: make it orthogonal to that again.
         basis = jnp.where(jnp.any(basis != 0, axis=0), jnp.linalg.qr(basis)[0], 0.0)
         rest = fields - (fields @ basis) @ basis.conj().T

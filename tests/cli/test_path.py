@@ -85,6 +85,7 @@ def test_evaluate_rows(capsys, home):
     assert len(defined["august"]) == len(defined["resampling"]) == 4
     for row in rows.values():
         assert (row["snr_db"], row["count"]) == (20.0, 4)
+        assert 0.0 < row["bound_m"] < 0.5 and 0.0 < row["bound_mde"] < 0.25
     # the floor lies below what knows only the prediction; the prediction misses by at most the cube's half diagonal
     assert rows["resampling"]["wd_db"] < rows["mean_shape"]["wd_db"]
     assert rows["resampling"]["mpe_m"] < rows["prior"]["mpe_m"] < 0.5 * math.sqrt(3.0)
