@@ -18,7 +18,7 @@ import numpy as np
 
 from august_jax import config as configuration
 from august_jax.config import Config
-from august_jax.data import nearest_distance
+from august_jax.data import lattice_of, nearest_distance
 from august_jax.models import reconstruct
 from august_jax.physics import PlanarArray, body_channel, contrast, factor_body, sensing_channel
 from august_jax.scene import Airframe, fly, from_cloud, resolve_airframe, rotation_from_euler
@@ -217,10 +217,9 @@ def channels_along(airframe: Airframe, config: Config, rotations, positions, per
         rotations, positions: body to world (T, 3, 3), surface centroids (T, 3) [m].
         permittivity, conductivity: the material, [1] and [S/m].
     """
-    target, tones = config.target, config.array.frequencies_hz
+    tones = config.array.frequencies_hz
     array = PlanarArray(config.array.nx, config.array.nz, config.array.frequency_hz)
-    cell_m = airframe.cell_size_for(target.max_cells, target.cell_m, target.skin_m)
-    cells = airframe.cells(cell_m, target.skin_m)
+    cells, _ = lattice_of(airframe, config.target)
     chi = contrast(permittivity, conductivity, jnp.asarray(tones, jnp.float32)).astype(jnp.complex64)
     if config.data.solver == "mom" and len(positions) > _DENSE_POSES:
         body = factor_body(cells, tones, nearest_m=nearest_distance(config))

@@ -39,7 +39,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from august_jax.config import preset
-from august_jax.data.generate import nearest_distance
+from august_jax.data.generate import lattice_of, nearest_distance
 from august_jax.physics import (
     Cells, PlanarArray, alike, body_channel, contrast, dipole_fields, factor_bodies, factor_body, interaction_matrix,
     sensing_channel,
@@ -95,7 +95,8 @@ def medians(calls: dict[str, Callable], repeats: int) -> dict[str, float]:
 def lattice(cells: int) -> Cells:
     """quad_x in at most so many cells."""
     drone = procedural_airframe("quad_x")
-    return drone.cells(drone.cell_size_for(cells, 0.004, SKIN_M), SKIN_M)
+    # One place a cell, so that a gradient in positions is that of the whole channel.
+    return drone.cells(drone.cell_size_for(cells, 0.004, SKIN_M), SKIN_M)._replace(centroids=None)
 
 
 def poses(count: int, distance_m: float):
@@ -300,8 +301,7 @@ def paper_set(args) -> list[dict]:
     lattices = []
     for name in config.target.airframes:
         drone = procedural_airframe(name, config.target.half_wheelbase_m)
-        size = drone.cell_size_for(config.target.max_cells, config.target.cell_m, config.target.skin_m)
-        lattices.append(drone.cells(size, config.target.skin_m))
+        lattices.append(lattice_of(drone, config.target)[0])
     bodies = alike(factor_bodies(lattices, config.array.frequency_hz, nearest_m=nearest))
     factoring = time.perf_counter() - start
     array = PlanarArray(config.array.nx, config.array.nz, config.array.frequency_hz)

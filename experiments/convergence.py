@@ -3,9 +3,9 @@
     python experiments/convergence.py compute [--small]     writes experiments/results/convergence.npz
     python experiments/convergence.py draw                  reads it, writes experiments/results/convergence.png
 
-The same craft, attitudes, place and materials; only the cells shrink. Each channel is compared with that of the finest
-lattice, as it is and after one complex factor (a gain, which no estimator knows) has been taken out. What limits the
-agreement is named in docs/simulator.md.
+The same craft, attitudes, place and materials; only the cells shrink. Cells hear and answer the antennas at their
+material's centroids (what `Airframe.cells` gives) or at their centres. Each channel is compared with that of the finest
+lattice, centroids taken: as it is, and after one complex factor (a gain, which no estimator knows) has been taken out.
 """
 
 from __future__ import annotations
@@ -25,10 +25,11 @@ from august_jax.scene import procedural_airframe, rotation_from_euler
 PLACE = np.array([3.0, 4.5, 2.5])
 PERMITTIVITIES = (2.0, 3.0, 5.0)
 SKIN_M = 0.001
+SITES = ("centroid", "centre")
 
 
 def compute(small: bool, report=print) -> dict[str, np.ndarray]:
-    """Relative differences to the finest lattice, of shape (size, permittivity), root mean squares over attitudes."""
+    """Relative differences to the finest lattice (fields at, size, permittivity), root mean squares over attitudes."""
     sizes_mm, poses = ((14.0, 10.0, 7.0, 5.0), 2) if small else ((14.0, 10.0, 7.0, 5.0, 4.0), 4)
     array = PlanarArray(16, 4, 3e9)
     drone = procedural_airframe("quad_x", half_wheelbase_m=0.15)
@@ -40,26 +41,28 @@ def compute(small: bool, report=print) -> dict[str, np.ndarray]:
         began = time.perf_counter()
         cells = drone.cells(1e-3 * size, SKIN_M)
         single = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), cells)
-        solve = jax.jit(lambda turn, chi, single=single: sensing_channel(
-            array, single.moved(turn, jnp.asarray(PLACE, jnp.float32)), chi, solver="krylov"))
-        channels.append([[np.asarray(solve(jnp.asarray(rotation_from_euler(*turn), jnp.float32),
-                                           contrast(permittivity, 5e-3, 3e9).astype(jnp.complex64)))
-                          for turn in angles] for permittivity in PERMITTIVITIES])
+        solve = jax.jit(lambda body, turn, chi: sensing_channel(
+            array, body.moved(turn, jnp.asarray(PLACE, jnp.float32)), chi, solver="krylov"))
+        channels.append([[[np.asarray(solve(body, jnp.asarray(rotation_from_euler(*turn), jnp.float32),
+                                            contrast(permittivity, 5e-3, 3e9).astype(jnp.complex64)))
+                           for turn in angles] for permittivity in PERMITTIVITIES]
+                         for body in (single, single._replace(centroids=None))])
         counts.append(cells.count)
         volumes.append(float(np.sum(np.asarray(cells.fill) * np.asarray(cells.volumes))))
         report(f"{size:g} mm: {cells.count} cells, {1e6 * volumes[-1]:.1f} cm^3 of material, "
                f"{time.perf_counter() - began:.0f} s")
-    channels = np.array(channels)  # (size, permittivity, pose, N_b, N_b)
-    finest = channels[-1]
+    channels = np.array(channels).swapaxes(0, 1)  # (fields at, size, permittivity, pose, N_b, N_b)
+    finest = channels[0, -1]
     norm = np.linalg.norm(finest, axis=(-2, -1))
     plain = np.linalg.norm(channels - finest, axis=(-2, -1)) / norm
     gain = np.sum(channels.conj() * finest, axis=(-2, -1)) / np.linalg.norm(channels, axis=(-2, -1)) ** 2
     shape = np.linalg.norm(gain[..., None, None] * channels - finest, axis=(-2, -1)) / norm
     rms = [np.sqrt(np.mean(value**2, axis=-1)) for value in (plain, shape)]
-    for size, row, apart in zip(sizes_mm[:-1], *rms):
-        report(f"{size:g} mm against {sizes_mm[-1]:g} mm: " + ", ".join(
-            f"permittivity {value:g}: {off:.1%} ({free:.1%} but for a gain)"
-            for value, off, free in zip(PERMITTIVITIES, row, apart)))
+    for kind, difference, free in zip(SITES, *rms):
+        for size, row, apart in zip(sizes_mm, difference, free):
+            report(f"fields at the {kind}, {size:g} mm: " + ", ".join(
+                f"permittivity {value:g}: {off:.1%} ({left:.1%} but for a gain)"
+                for value, off, left in zip(PERMITTIVITIES, row, apart)))
     return {"sizes_mm": np.array(sizes_mm), "cells": np.array(counts), "material_m3": np.array(volumes),
             "permittivities": np.array(PERMITTIVITIES), "difference": rms[0], "but_for_a_gain": rms[1]}
 
@@ -68,10 +71,13 @@ def draw(results: dict[str, np.ndarray], path: Path) -> None:
     """Differences over cell size, one line a permittivity."""
     fig = new_figure(11.0, 4.6)
     axes = fig.subplots(1, 2, sharey=True)
-    sizes = results["sizes_mm"][:-1]
+    sizes = results["sizes_mm"]
     for axis, name, title in zip(axes, ("difference", "but_for_a_gain"), ("as it is", "but for one complex factor")):
-        for index, value in enumerate(results["permittivities"]):
-            axis.plot(sizes, 100 * results[name][:-1, index], marker="o", label=f"permittivity {value:g}")
+        for at, (kind, line) in enumerate(zip(SITES, ("-", "--"))):
+            shown = slice(None, -1) if at == 0 else slice(None)
+            for index, value in enumerate(results["permittivities"]):
+                axis.plot(sizes[shown], 100 * results[name][at, shown, index], line, marker="o", color=f"C{index}",
+                          label=f"permittivity {value:g}, {kind}")
         axis.set(xlabel="cell [mm]", title=title, ylim=(0, None))
         axis.grid(True, alpha=0.3)
     axes[0].set_ylabel(f"difference of H to that of {results['sizes_mm'][-1]:g} mm cells [%]")

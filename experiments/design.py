@@ -4,7 +4,7 @@
     python experiments/design.py draw                  reads it, writes experiments/results/design.png
 
 The bound on the position error (unknown attitude, material and complex gain) is differentiated in the antennas' places,
-which move within a square aperture until it stops falling. It is measured on poses that the descent has not seen,
+which move within a square aperture, no two nearer than half a wavelength, until it stops falling. It is measured on poses that the descent has not seen,
 beside three arrays that one would build without it. A bound knows the neighbourhood of the truth alone: the last panel
 shows what the descent does not see, how alike the channels of places farther away are (ambiguity).
 """
@@ -25,6 +25,7 @@ from august_jax.scene import procedural_airframe, rotation_from_euler
 
 FREQUENCY = 3e9
 HALF_M = 0.4  # the aperture: |x| and |z| at most this
+HALF_WAVE_M = 0.05
 SNR = 10.0
 CENTRE = np.array([2.0, 5.0, 1.5])
 PERMITTIVITY, CONDUCTIVITY = 3.0, 5e-3
@@ -71,14 +72,22 @@ def compute(small: bool, report=print) -> dict[str, np.ndarray]:
         return jnp.sqrt(jnp.mean(bounds(plane, turns, places) ** 2))
 
     measure = jax.jit(root_mean_square)
-    slope = jax.jit(jax.value_and_grad(lambda plane: jnp.log(root_mean_square(plane, *training))))
+    def crowding(plane):  # antennas nearer than half a wavelength would couple, which point dipoles do not know
+        gap = jnp.sqrt(jnp.sum((plane[:, None] - plane) ** 2, -1) + jnp.eye(len(plane)))
+        return jnp.sum(jnp.maximum(1.0 - gap / HALF_WAVE_M, 0.0) ** 2)
+
+    def objective(plane):
+        bound = root_mean_square(plane, *training)
+        return jnp.log(bound) + crowding(plane), bound
+
+    slope = jax.jit(jax.value_and_grad(objective, has_aux=True))
     optimizer = optax.adam(optax.cosine_decay_schedule(0.03, steps))
     plane = jnp.asarray(arrays(generator)["random"], jnp.float32)
     chosen = arrays(np.random.default_rng(1))
     state, course = optimizer.init(plane), []
     for step in range(steps):
-        value, gradient = slope(plane)
-        course.append(float(jnp.exp(value)))
+        (_, value), gradient = slope(plane)
+        course.append(float(value))
         change, state = optimizer.update(gradient, state)
         plane = jnp.clip(plane + change, -HALF_M, HALF_M)
         if step % max(steps // 5, 1) == 0:

@@ -57,7 +57,7 @@ def compute(small: bool, report=print) -> dict[str, np.ndarray]:
     def by_cell(turn):
         moved = single.moved(turn, jnp.asarray(PLACE, jnp.float32))
         fields = weighted_fields(moved, dipole_fields(
-            moved.positions, jnp.asarray(array.positions, jnp.float32), jnp.asarray([0.0, 0.0, 1.0]), k))
+            moved.sites(), jnp.asarray(array.positions, jnp.float32), jnp.asarray([0.0, 0.0, 1.0]), k))
         solution = solve_krylov(interaction_matrix(moved, k), chi, fields)
         total = (solution.fields @ solution.combinations.conj().T).reshape(moved.count, 3, -1)
         gram = jnp.einsum("nam,nbm->nab", total, total.conj())

@@ -382,3 +382,14 @@ def test_half_wheelbase_of_one_piece_falls_back_on_its_extent():
 def test_flights_do_not_import_trimesh():
     code = "import august_jax.scene.trajectory, sys; assert 'trimesh' not in sys.modules"
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_centroids_lie_in_their_cells_and_on_the_skin(crafts):
+    craft = crafts["quad_x"]
+    cells = craft.cells(0.015, 0.002)
+    assert np.abs(cells.centroids - cells.positions).max() <= 0.5 * 0.015 + 1e-9
+    assert np.linalg.norm(cells.centroids - cells.positions, axis=1).mean() > 0.1 * 0.015
+    # What is added up over the lattice is the material's own mean, wherever the lattice lies.
+    weights = np.asarray(cells.fill) * np.asarray(cells.volumes)
+    surface = np.asarray(craft.sample_surface(jax.random.key(0), 20_000)).mean(axis=0)
+    np.testing.assert_allclose(weights @ cells.centroids / weights.sum(), surface, atol=0.004)

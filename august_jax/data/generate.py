@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from august_jax.config import Config
+from august_jax.config import Config, TargetConfig
 from august_jax.physics import Body, Cells, PlanarArray, alike, body_channel, contrast, factor_bodies, sensing_channel
 from august_jax.scene.airframes import Airframe, resolve_airframe, sample_triangles
 from august_jax.scene.trajectory import fly_many
@@ -65,14 +65,20 @@ def nearest_distance(config: Config) -> float:
     return float(np.floor(2.0 * 0.9 * gap) / 2.0)
 
 
+def lattice_of(airframe: Airframe, target: TargetConfig) -> tuple[Cells, float]:
+    """An airframe's cells as the configuration wants them, and their edge [m]."""
+    cell_m = airframe.cell_size_for(target.max_cells, target.cell_m, target.skin_m)
+    cells = airframe.cells(cell_m, target.skin_m)
+    return (cells._replace(centroids=None) if target.fields_at == "centre" else cells), cell_m
+
+
 def prepare_targets(config: Config, report: Callable[[str], None] = lambda line: None) -> list[Target]:
     """Airframes, lattices and, for ``mom``, factored bodies (minutes for the first time, then from the cache)."""
     target, nearest = config.target, nearest_distance(config)
     airframes, lattices, bodies = [], [], []
     for name in target.airframes:
         airframe = resolve_airframe(name, target.half_wheelbase_m)
-        cell_m = airframe.cell_size_for(target.max_cells, target.cell_m, target.skin_m)
-        cells = airframe.cells(cell_m, target.skin_m)
+        cells, cell_m = lattice_of(airframe, target)
         report(f"{airframe.name}: {cells.count} cells of {1e3 * cell_m:.3g} mm")
         airframes.append(airframe)
         lattices.append((cells, cell_m))

@@ -18,12 +18,16 @@ class Cells(NamedTuple):
         fill: fraction of each cell that holds material (N,), or one number; 1 for solid parts.
         normals: area-weighted mean of n n^T of the sheet in each cell (N, 3, 3), or unit normals (N, 3), or
             None where every cell is solid or the sheet's direction is to be ignored.
+        centroids: mean place of the material in each cell (N, 3) [m], where the cell hears the antennas and from where
+            it answers; None takes the centre. Coupling between cells always is from centre to centre. On thin skins
+            this removes most of the lattice's error: 2 k times half a cell is a third of a radian at 10 mm and 3 GHz.
     """
 
     positions: jax.Array | np.ndarray
     volumes: jax.Array | np.ndarray
     fill: jax.Array | np.ndarray | float = 1.0
     normals: jax.Array | np.ndarray | None = None
+    centroids: jax.Array | np.ndarray | None = None
 
     @property
     def count(self) -> int:
@@ -33,6 +37,10 @@ class Cells(NamedTuple):
     def fractions(self) -> jax.Array:
         """Fill fractions as (N,)."""
         return jnp.broadcast_to(jnp.asarray(self.fill), self.volumes.shape)
+
+    def sites(self) -> jax.Array | np.ndarray:
+        """Where the antennas' fields are taken (N, 3) [m]: the material's centroids, else the centres."""
+        return self.positions if self.centroids is None else self.centroids
 
     def tensors(self) -> jax.Array:
         """n n^T as (N, 3, 3); zero where no normals are given."""
@@ -48,4 +56,6 @@ class Cells(NamedTuple):
         normals = None
         if self.normals is not None:
             normals = jnp.einsum("ab,nbc,dc->nad", rotation, self.tensors(), rotation)
-        return self._replace(positions=self.positions @ jnp.asarray(rotation).T + translation, normals=normals)
+        turn = jnp.asarray(rotation).T
+        centroids = None if self.centroids is None else self.centroids @ turn + translation
+        return self._replace(positions=self.positions @ turn + translation, normals=normals, centroids=centroids)

@@ -152,7 +152,7 @@ def _channel(array, receiver, cells, contrast, solver, frequency_hz):
     dtype = cells.positions.dtype
     fields = [
         weighted_fields(cells, dipole_fields(
-            cells.positions, jnp.asarray(end.positions, dtype), jnp.asarray(end.moments, dtype), k))
+            cells.sites(), jnp.asarray(end.positions, dtype), jnp.asarray(end.moments, dtype), k))
         for end in (array, receiver) if end is not None
     ]
     if solver == "krylov":

@@ -27,9 +27,11 @@ def check_cells(cells: Cells) -> None:
         raise ValueError(f"cells.fill: got shape {np.shape(cells.fill)}; give one number or ({count},)")
     if cells.normals is not None and np.shape(cells.normals) not in ((count, 3), (count, 3, 3)):
         raise ValueError(f"cells.normals: got shape {np.shape(cells.normals)}; give ({count}, 3) or ({count}, 3, 3)")
+    if cells.centroids is not None and np.shape(cells.centroids) != (count, 3):
+        raise ValueError(f"cells.centroids: got shape {np.shape(cells.centroids)}; give ({count}, 3), or None")
     if not is_concrete(cells):
         return
-    for name in ("positions", "volumes", "fill", "normals"):
+    for name in ("positions", "volumes", "fill", "normals", "centroids"):
         value = getattr(cells, name)
         if value is not None and not np.all(np.isfinite(value)):
             raise ValueError(f"cells.{name}: holds NaN or infinity; remove those cells")

@@ -129,7 +129,7 @@ def factor_bodies(
     for cells in bodies:
         check_cells(cells)
         plain.append(Cells(*(None if part is None else np.asarray(part, np.float64) for part in cells)))
-        radii.append(float(np.linalg.norm(plain[-1].positions, axis=1).max()))
+        radii.append(float(max(np.linalg.norm(part, axis=1).max() for part in (plain[-1].positions, plain[-1].sites()))))
         if nearest_m <= 1.2 * radii[-1]:
             raise ValueError(
                 f"nearest_m: {nearest_m:g} m is no farther than the body's own radius, {radii[-1]:.3g} m, and a margin "
@@ -365,10 +365,10 @@ def _factor(cells: Cells, frequency_hz: float, nearest_m: float) -> dict[str, np
     samples, span, values = 1024, None, None
     while span is None or (span.shape[1] > 0.65 * samples and samples < 3 * len(weight)):
         samples = 3 * samples // 2
-        span, values = _span(weight[:, None] * _random_fields(cells.positions, k, nearest_m, samples, random),
+        span, values = _span(weight[:, None] * _random_fields(cells.sites(), k, nearest_m, samples, random),
                              _SPAN_TOLERANCE)
     # Error of the response to random far sources, against the unreduced system.
-    probe = weight[:, None] * _random_fields(cells.positions, k, nearest_m, 24, random)
+    probe = weight[:, None] * _random_fields(cells.sites(), k, nearest_m, 24, random)
     exact = probe.T @ _solve_single(matrix, _CHECK, probe)
     rows = _pivots(span)
     inverse = np.linalg.inv(span[rows])
@@ -396,7 +396,7 @@ def _factor(cells: Cells, frequency_hz: float, nearest_m: float) -> dict[str, np
     return {
         "weights": np.stack(three).astype(np.float32),
         "eigenvalues": eigenvalues.astype(np.complex64),
-        "points": cells.positions[points].astype(np.float32),
+        "points": cells.sites()[points].astype(np.float32),
         "rows": (3 * place + rows % 3).astype(np.int32),
         "error": np.asarray(error),
     }

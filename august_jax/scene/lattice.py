@@ -39,8 +39,8 @@ def shell_cells(triangles: np.ndarray, cell_m: float, skin_m: float) -> Cells:
         skin_m: thickness of the material [m], at most ``cell_m``.
 
     Returns:
-        Cells with float64 positions (N, 3) [m], volumes (N,) [m^3], fill (N,) in (0, 1] and the mean of n n^T
-        (N, 3, 3), weighted by the material in the cell.
+        Cells with float64 positions (N, 3) [m], volumes (N,) [m^3], fill (N,) in (0, 1], the mean of n n^T (N, 3, 3),
+        weighted by the material in the cell, and the material's centroids (N, 3) [m].
 
     Raises:
         ValueError: a size is not positive, or the skin is thicker than a cell.
@@ -74,7 +74,7 @@ def shell_cells(triangles: np.ndarray, cell_m: float, skin_m: float) -> Cells:
     part = _below(half - distance, normals, step) - _below(-half - distance, normals, step)
 
     keep = part > 1e-6
-    index, part, normals = index[keep], part[keep], normals[keep]
+    index, centres, part, normals = index[keep], centres[keep], part[keep], normals[keep]
     cells, inverse = np.unique(index // parts, axis=0, return_inverse=True)
     inverse = inverse.reshape(-1)
     weight = np.bincount(inverse, part)
@@ -83,6 +83,7 @@ def shell_cells(triangles: np.ndarray, cell_m: float, skin_m: float) -> Cells:
         for column in range(row, 3):
             mean = np.bincount(inverse, part * normals[:, row] * normals[:, column]) / weight
             tensors[:, row, column] = tensors[:, column, row] = mean
+    centroids = np.stack([np.bincount(inverse, part * centres[:, axis]) / weight for axis in range(3)], axis=-1)
     fill = weight / parts**3
     kept = fill >= _NEGLIGIBLE * skin_m / cell_m
     return Cells(
@@ -90,6 +91,7 @@ def shell_cells(triangles: np.ndarray, cell_m: float, skin_m: float) -> Cells:
         volumes=np.full(int(kept.sum()), cell_m**3),
         fill=np.minimum(fill[kept], 1.0),
         normals=tensors[kept],
+        centroids=centroids[kept],
     )
 
 

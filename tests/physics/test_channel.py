@@ -198,6 +198,7 @@ GOOD = cross()
     (GOOD._replace(positions=GOOD.positions * np.nan), CHI, {}, "NaN"),
     (GOOD._replace(positions=np.zeros_like(GOOD.positions) + 1.0), CHI, {}, "coincide"),
     (GOOD._replace(fill=1.5), CHI, {}, "cells.fill"),
+    (GOOD._replace(centroids=np.zeros((2, 3))), CHI, {}, "cells.centroids: got shape"),
     (GOOD, np.ones(3), {}, "contrast: got shape"),
     (GOOD, np.nan, {}, "contrast: holds NaN"),
     (GOOD, CHI, {"at_array": True}, "outside the body"),
