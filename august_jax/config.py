@@ -60,8 +60,8 @@ class TargetConfig:
     max_cells: int = 1200
     """An airframe that needs more cells than this gets a coarser lattice."""
     fields_at: str = "centre"
-    """Where a cell hears the antennas: at its ``centre``, as in the data of the shipped weights, or at the ``centroid`` of
-    its material, which errs several times less (``experiments/convergence.py``)."""
+    """Where a cell hears the antennas: at its ``centre``, as in the data of the shipped weights, or at the ``centroid``
+    of its material, which errs several times less (``experiments/convergence.py``)."""
     permittivity: Range = (1.5, 5.0)
     conductivity_s_m: Range = (1e-3, 1e-2)
     points: int = 1000

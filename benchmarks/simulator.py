@@ -11,15 +11,16 @@ Parts:
     (assembly and ``scipy.linalg.solve``, complex64) and by torchgdm, a PyTorch implementation of the Green dyadic
     method, its simulation and ``postproc.green.G_Ep``.
 ``moving``
-    value, and value and gradient in all cell positions, of one target through the Krylov solver, against LU and torchgdm.
+    value, and value and gradient in all cell positions, of one target through the Krylov solver, against LU and
+    torchgdm.
 ``scaling``
     ``body_channel`` over cells, antennas and batch.
 ``set``
     channels of the paper's flights, five airframes.
 
 What is compared is timed in turn and by its median; errors are relative to LU in complex128. torchgdm is no dependency:
-`pip install torchgdm==0.61` adds its columns, without it they stay empty. Half an hour on two cores with an empty cache of
-factored bodies, most of it for factoring 4000 cells; a few minutes without ``scaling``.
+`pip install torchgdm==0.61` adds its columns, without it they stay empty. ``rigid`` and ``moving`` take a few minutes on
+two cores; the others wait for bodies to be factored the first time, ``set`` and 4000 cells for much of an hour.
 """
 
 from __future__ import annotations
@@ -310,7 +311,8 @@ def paper_set(args) -> list[dict]:
     start = time.perf_counter()
     flights = -(-args.count // config.flight.slots)
     tracks = fly_many(jax.random.split(jax.random.key(0), flights), config.flight)
-    rotations, places = (part.reshape(-1, *part.shape[2:])[: args.count] for part in (tracks.rotations, tracks.positions))
+    rotations, places = (part.reshape(-1, *part.shape[2:])[: args.count]
+                         for part in (tracks.rotations, tracks.positions))
     done = 0
     for first in range(0, args.count, args.batch):
         turns, where = (part[first : first + args.batch].astype(jnp.float32) for part in (rotations, places))
@@ -320,8 +322,8 @@ def paper_set(args) -> list[dict]:
         done += args.batch
     spent = time.perf_counter() - start
     sizes = [cells.count for cells in lattices]
-    print(f"set     {args.count} channels of {len(bodies)} airframes ({min(sizes)} to {max(sizes)} cells): {spent:.0f} s, "
-          f"flights and compiling counted; factoring or reading the bodies {factoring:.0f} s", flush=True)
+    print(f"set     {args.count} channels of {len(bodies)} airframes ({min(sizes)} to {max(sizes)} cells): {spent:.0f} s,"
+          f" flights and compiling counted; factoring or reading the bodies {factoring:.0f} s", flush=True)
     return [{"count": args.count, "cells": sizes, "channels_s": spent, "factoring_or_cache_s": factoring}]
 
 

@@ -4,8 +4,8 @@
     python experiments/design.py draw                  reads it, writes experiments/results/design.png
 
 The bound on the position error (unknown attitude, material and complex gain) is differentiated in the antennas' places,
-which move within a square aperture, no two nearer than half a wavelength, until it stops falling. It is measured on poses that the descent has not seen,
-beside three arrays that one would build without it. A bound knows the neighbourhood of the truth alone: the last panel
+which move within a square aperture, no two nearer than half a wavelength, until it stops falling. It is measured on
+poses that the descent has not seen, beside arrays that one would build without it. A bound knows the neighbourhood of the truth alone: the last panel
 shows what the descent does not see, how alike the channels of places farther away are (ambiguity).
 """
 
@@ -19,7 +19,9 @@ import numpy as np
 import optax
 from script import run
 
-from august_jax.physics import AntennaArray, PlanarArray, body_channel, contrast, factor_body, unknown_gain_position_bound
+from august_jax.physics import (
+    AntennaArray, PlanarArray, body_channel, contrast, factor_body, unknown_gain_position_bound,
+)
 from august_jax.plotting import new_figure, save
 from august_jax.scene import procedural_airframe, rotation_from_euler
 

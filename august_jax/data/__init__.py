@@ -8,5 +8,6 @@ from august_jax.data.shards import DataError, read_manifest, simulate, verify
 
 __all__ = [
     "SPLITS", "DataError", "Dataset", "Target", "TrainingBatches", "as_stored", "generate", "lattice_of",
-    "nearest_distance", "observed_anew", "pack", "prepare_targets", "read_manifest", "simulate", "split_of", "unpack", "verify",
+    "nearest_distance", "observed_anew", "pack", "prepare_targets", "read_manifest", "simulate", "split_of", "unpack",
+    "verify",
 ]

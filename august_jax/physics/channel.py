@@ -118,20 +118,23 @@ def sensing_channels(
         cells: every leaf with a leading axis B; ``fill`` may also be one number.
         contrast: (B,), (B, N), and with tones (B, F, 1) or (B, F, N).
         solver, frequencies_hz, receiver: as in :func:`sensing_channel`.
-        microbatch: targets in flight; None takes what a quarter of the free memory holds, at most 16.
+        microbatch: targets in flight; None takes what a quarter of the free memory holds, at most 16, and one for
+            ``krylov``: several side by side would each pay for the LU that one of them might need.
 
     Returns:
         (B, N_b, N_b), or (B, F, N_b, N_b).
     """
     count = np.shape(cells.positions)[-2]
-    size = microbatch or _microbatch(count, jnp.result_type(cells.positions))
+    size = microbatch or (1 if solver == "krylov" else _microbatch(count, jnp.result_type(cells.positions)))
     fill = jnp.broadcast_to(jnp.asarray(cells.fill), np.shape(cells.volumes))
 
     def one(target):
         body, chi = target
         return sensing_channel(array, body, chi, solver=solver, frequencies_hz=frequencies_hz, receiver=receiver)
 
-    return jax.lax.map(one, (cells._replace(fill=fill), jnp.asarray(contrast)), batch_size=size)
+    # A batch of one would still be a vmap, in which both sides of a condition are computed.
+    targets = (cells._replace(fill=fill), jnp.asarray(contrast))
+    return jax.lax.map(one, targets, batch_size=size if size > 1 else None)
 
 
 def _microbatch(count: int, dtype) -> int:

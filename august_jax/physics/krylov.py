@@ -85,7 +85,8 @@ def solve_krylov(
     failed = ~(iterated[2] <= 3.0 * tolerance)
 
     def by_lu(_):
-        return finish(jnp.linalg.solve(jnp.eye(matrix.shape[0], dtype=matrix.dtype) - root * matrix * root[:, 0], right))
+        system = jnp.eye(matrix.shape[0], dtype=matrix.dtype) - root * matrix * root[:, 0]
+        return finish(jnp.linalg.solve(system, right))
 
     scaled, image, residual = jax.lax.cond(failed, by_lu, lambda _: iterated, None)
     residual = jnp.maximum(residual, missed)

@@ -67,7 +67,7 @@ class Body:
         rows: which (point, component) of the field each column of W takes, 3 point + component (F, m), int32.
         frequencies_hz: the tones [Hz].
         single: True where the body was made for one plain frequency, so that channels carry no tone axis.
-        radius_m: largest distance of a cell from the body's origin [m].
+        radius_m: largest distance of the material's places in the cells from the body's origin [m].
         nearest_m: sources must be at least this far from the body's origin [m].
         error: relative error of the reduced response at contrasts between the nodes, as measured when it was made.
         cells: number of cells N.
@@ -129,7 +129,7 @@ def factor_bodies(
     for cells in bodies:
         check_cells(cells)
         plain.append(Cells(*(None if part is None else np.asarray(part, np.float64) for part in cells)))
-        radii.append(float(max(np.linalg.norm(part, axis=1).max() for part in (plain[-1].positions, plain[-1].sites()))))
+        radii.append(float(np.linalg.norm(plain[-1].sites(), axis=1).max()))
         if nearest_m <= 1.2 * radii[-1]:
             raise ValueError(
                 f"nearest_m: {nearest_m:g} m is no farther than the body's own radius, {radii[-1]:.3g} m, and a margin "

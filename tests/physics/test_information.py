@@ -53,8 +53,8 @@ def test_an_unknown_gain_takes_the_range_away(information):
 
 
 def test_the_bound_to_descend_is_the_bound(information):
-    bound = unknown_gain_position_bound(factor_body(CELLS, 3e9), ARRAY, jnp.eye(3), jnp.asarray(PLACE, jnp.float32), 3.0,
-                                        5e-3, 100.0)
+    place = jnp.asarray(PLACE, jnp.float32)
+    bound = unknown_gain_position_bound(factor_body(CELLS, 3e9), ARRAY, jnp.eye(3), place, 3.0, 5e-3, 100.0)
     assert bound == pytest.approx(float(position_bound(information)), rel=1e-2)
 
 

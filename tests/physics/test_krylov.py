@@ -102,7 +102,7 @@ def test_the_gradient_sees_the_coupling():
 def test_a_batch_does_not_depend_on_how_many_are_in_flight(size):
     shifts = jnp.array([[0.0, 0.0, 0.0], [0.3, -0.1, 0.2], [0.1, 0.2, 0.0]])
     chi = jnp.array([1.0, 2.0, 3.0])
-    many = CELLS._replace(**{name: jnp.stack([value] * 3) for name, value in CELLS._asdict().items()})
+    many = jax.tree.map(lambda leaf: jnp.stack([leaf] * 3), CELLS)
     many = many._replace(positions=CELLS.positions + shifts[:, None])
     found = sensing_channels(ARRAY, many, chi, solver="krylov", microbatch=size)
     for row in range(3):
