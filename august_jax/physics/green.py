@@ -47,8 +47,8 @@ def coupling_matrix(positions: jax.Array, wavenumber: float | jax.Array) -> jax.
         wavenumber: k [rad/m].
 
     Returns:
-        (3N, 3N) complex [1/m]; row 3i + a, column 3j + b holds G_ab(p_i, p_j). Differentiable once in positions where
-        the wavenumber is a plain number, as often as one likes, and in the wavenumber, where it is an array.
+        (3N, 3N) complex [1/m]; row 3i + a, column 3j + b holds G_ab(p_i, p_j). Differentiable in positions and, where
+        it is an array, in the wavenumber.
     """
     if isinstance(wavenumber, (int, float)):
         return _coupling(positions, float(wavenumber))
