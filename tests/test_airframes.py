@@ -37,6 +37,11 @@ def material(cells) -> float:
     return float(np.sum(cells.fill * cells.volumes))
 
 
+def centres(cells, edge: float) -> np.ndarray:
+    """Of the lattice's cells: positions are less than half a cell off them."""
+    return np.round(cells.positions / edge) * edge
+
+
 # procedural families
 
 
@@ -111,7 +116,7 @@ def test_sphere_fill_against_random_points():
     shell = 4 / 3 * np.pi * ((radius + skin / 2) ** 3 - (radius - skin / 2) ** 3)
     assert material(cells) == pytest.approx(shell, rel=0.02)
     generator = np.random.default_rng(0)
-    inside = cells.positions[:, None] + cell * (generator.random((cells.count, 4000, 3)) - 0.5)
+    inside = centres(cells, cell)[:, None] + cell * (generator.random((cells.count, 4000, 3)) - 0.5)
     distance = np.linalg.norm(inside, axis=-1)
     fill = np.mean(np.abs(distance - radius) < skin / 2, axis=1)
     # counting 4000 points has a standard error of 0.006; sub-cells of 1.5 mm blur corners by as much
@@ -135,7 +140,7 @@ def test_faces_may_be_cut_in_any_way():
     square = trimesh.Trimesh(sheet(0.1).reshape(-1, 3), [[0, 1, 2], [3, 4, 5]], process=False)
     fine = square.subdivide().subdivide().subdivide()
     coarse_cells, fine_cells = (shell_cells(mesh.triangles, 0.012, 0.002) for mesh in (square, fine))
-    np.testing.assert_array_equal(coarse_cells.positions, fine_cells.positions)
+    np.testing.assert_array_equal(centres(coarse_cells, 0.012), centres(fine_cells, 0.012))
     np.testing.assert_allclose(coarse_cells.fill, fine_cells.fill, atol=1e-3)
 
 
@@ -148,12 +153,14 @@ def test_dropped_cells_hold_little(crafts, monkeypatch):
     assert 0.995 < kept / material(again.cells(0.012, 0.002)) < 1.0
 
 
-def test_cells_are_deterministic_and_on_the_lattice(crafts):
+def test_cells_are_deterministic_and_about_the_lattice(crafts):
     first, second = (craft.cells(0.015, 0.002) for craft in (crafts["quad_x"], procedural_airframe("quad_x")))
     np.testing.assert_array_equal(first.fill, second.fill)
-    steps = first.positions / 0.015
-    np.testing.assert_allclose(steps, np.round(steps), atol=1e-9)
-    assert len(np.unique(np.round(steps), axis=0)) == first.count
+    middles = centres(first, 0.015)
+    assert len(np.unique(np.round(middles / 0.015), axis=0)) == first.count
+    # two fifths of the way to the centroid, which lies in the cell
+    np.testing.assert_allclose(first.positions, middles + 0.4 * (first.centroids - middles), atol=1e-12)
+    assert np.abs(first.centroids - middles).max() <= 0.5 * 0.015 + 1e-9
     assert first.fill.min() > 0.0 and first.fill.max() <= 1.0
 
 
@@ -384,11 +391,10 @@ def test_flights_do_not_import_trimesh():
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
-def test_centroids_lie_in_their_cells_and_on_the_skin(crafts):
+def test_centroids_lie_on_the_skin(crafts):
     craft = crafts["quad_x"]
     cells = craft.cells(0.015, 0.002)
-    assert np.abs(cells.centroids - cells.positions).max() <= 0.5 * 0.015 + 1e-9
-    assert np.linalg.norm(cells.centroids - cells.positions, axis=1).mean() > 0.1 * 0.015
+    assert np.linalg.norm(cells.centroids - cells.positions, axis=1).mean() > 0.06 * 0.015
     # What is added up over the lattice is the material's own mean, wherever the lattice lies.
     weights = np.asarray(cells.fill) * np.asarray(cells.volumes)
     surface = np.asarray(craft.sample_surface(jax.random.key(0), 20_000)).mean(axis=0)

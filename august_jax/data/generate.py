@@ -68,8 +68,7 @@ def nearest_distance(config: Config) -> float:
 def lattice_of(airframe: Airframe, target: TargetConfig) -> tuple[Cells, float]:
     """An airframe's cells as the configuration wants them, and their edge [m]."""
     cell_m = airframe.cell_size_for(target.max_cells, target.cell_m, target.skin_m)
-    cells = airframe.cells(cell_m, target.skin_m)
-    return (cells._replace(centroids=None) if target.fields_at == "centre" else cells), cell_m
+    return airframe.cells(cell_m, target.skin_m), cell_m
 
 
 def prepare_targets(config: Config, report: Callable[[str], None] = lambda line: None) -> list[Target]:

@@ -25,6 +25,10 @@ from august_jax.physics.cells import Cells
 
 _NEGLIGIBLE = 0.05
 """Cells with less than this part of the fill of a sheet through the cell's middle are dropped."""
+_TOWARDS_CENTROID = 0.4
+"""Where a cell couples to the others, from its centre (0) to its material's centroid (1). Between centres a tilted sheet
+is a staircase; between centroids neighbours that share a corner's worth of material come too close for point dipoles.
+Of 0, 0.25, 0.4, 0.5, 0.6 this errs least on 25 sheets of random tilt and place, at permittivities 3 and 5."""
 
 
 def shell_cells(triangles: np.ndarray, cell_m: float, skin_m: float) -> Cells:
@@ -39,8 +43,9 @@ def shell_cells(triangles: np.ndarray, cell_m: float, skin_m: float) -> Cells:
         skin_m: thickness of the material [m], at most ``cell_m``.
 
     Returns:
-        Cells with float64 positions (N, 3) [m], volumes (N,) [m^3], fill (N,) in (0, 1], the mean of n n^T (N, 3, 3),
-        weighted by the material in the cell, and the material's centroids (N, 3) [m].
+        Cells with float64 positions (N, 3) [m] on the way from the lattice's centres to the material's centroids,
+        volumes (N,) [m^3], fill (N,) in (0, 1], the mean of n n^T (N, 3, 3), weighted by the material in the cell, and
+        the centroids (N, 3) [m].
 
     Raises:
         ValueError: a size is not positive, or the skin is thicker than a cell.
@@ -84,10 +89,11 @@ def shell_cells(triangles: np.ndarray, cell_m: float, skin_m: float) -> Cells:
             mean = np.bincount(inverse, part * normals[:, row] * normals[:, column]) / weight
             tensors[:, row, column] = tensors[:, column, row] = mean
     centroids = np.stack([np.bincount(inverse, part * centres[:, axis]) / weight for axis in range(3)], axis=-1)
+    middles = cells * cell_m
     fill = weight / parts**3
     kept = fill >= _NEGLIGIBLE * skin_m / cell_m
     return Cells(
-        positions=cells[kept] * cell_m,
+        positions=(middles + _TOWARDS_CENTROID * (centroids - middles))[kept],
         volumes=np.full(int(kept.sum()), cell_m**3),
         fill=np.minimum(fill[kept], 1.0),
         normals=tensors[kept],
