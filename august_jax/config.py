@@ -231,12 +231,12 @@ def preset(name: str) -> Config:
         preset="laptop",
         flight=FlightConfig(box_m=((3.0, 7.0), (4.0, 8.0), (2.0, 5.0)), style="dynamic", slots=5),
         region=RegionConfig(scale_m=0.75),
-        data=DataConfig(count=100_000),
+        data=DataConfig(count=200_000),
         model=ModelConfig(
             encoder="roi", latent=64, flow_layers=6, flow_features=64, fourier=4,
             denoiser=(64, 128, 256, 256, 128, 64), time_embedding="log_snr", frame="craft", seeds=8,
         ),
-        train=TrainConfig(steps=5_000, batch=256, points=12, learning_rate=(1e-3, 1e-5), reobserve=True,
+        train=TrainConfig(steps=12_000, batch=256, points=6, learning_rate=(1e-3, 1e-5), reobserve=True,
                           weight_readout=1.0),
     )
     smoke = replace(

@@ -11,6 +11,7 @@ from jax.flatten_util import ravel_pytree
 
 from august_jax.config import preset
 from august_jax.models import create, parameter_count, reconstruct
+from august_jax.models.frame import facing
 from august_jax.models.refchannel import RefChannel, reference_centre
 
 SMOKE = preset("smoke")
@@ -107,7 +108,8 @@ def test_the_condition_is_the_posterior_s_mean_or_a_sample_of_it():
     kernel, bias = model.readout_head.kernel[...], model.readout_head.bias[...]
     expected = np.array(mean @ kernel + bias)
     _, centre = model.encoder.channel_input.centred(*inputs[:2])
-    expected[:, :3] += (centre - inputs[1]) / SMOKE.region.scale_m
+    offset = (centre - inputs[1]) / SMOKE.region.scale_m
+    expected[:, :3] += np.asarray(facing(offset[:, None], centre))[:, 0]
     np.testing.assert_allclose(read, expected, rtol=1e-3, atol=1e-4)
 
 

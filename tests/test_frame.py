@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from august_jax.models.frame import READINGS, into_craft, moments, out_of_craft, pose
+from august_jax.models.frame import READINGS, facing, facing_back, into_craft, moments, out_of_craft, pose
 
 
 def flat_clouds(count=6, points=400):
@@ -76,6 +76,22 @@ def test_into_the_craft_s_frame_and_back():
     np.testing.assert_allclose(out_of_craft(inside, reading, 3.0), cloud, atol=1e-5)
     path = jnp.stack([inside, 2 * inside])  # a leading axis, as of the moments of a reconstruction
     np.testing.assert_allclose(out_of_craft(path, reading, 3.0)[0], cloud, atol=1e-5)
+
+
+def test_a_scene_turned_about_the_station_looks_the_same():
+    cloud, places, _ = flat_clouds()
+    places = places + [4.0, 6.0, 3.0]
+    angle = 2.0
+    turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1.0]], np.float32)
+    moved = np.concatenate([cloud[..., :3] @ turn.T, cloud[..., 3:]], -1)
+    seen = np.asarray(facing(cloud, places))
+    np.testing.assert_allclose(facing(moved, places @ turn.T), seen, atol=1e-5)
+    assert np.abs(seen - cloud).max() > 0.1
+    np.testing.assert_allclose(facing_back(seen, places), cloud, atol=1e-6)
+    # x points away from the station: what lies behind the place along the bearing has y = 0
+    behind = np.concatenate([0.1 * places[:, None, :2], np.zeros((6, 1, 3))], -1)
+    np.testing.assert_allclose(facing(behind, places)[:, 0, 1], 0.0, atol=1e-6)
+    assert (facing(behind, places)[:, 0, 0] > 0.4).all()
 
 
 def test_a_whole_turn_of_the_cloud_turns_the_reading_alone():

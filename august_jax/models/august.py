@@ -39,7 +39,7 @@ from august_jax.models.denoiser import Denoiser
 from august_jax.models.diffusion import Schedule, add_noise, ancestral, dpm, draw_steps
 from august_jax.models.encoder import Encoder
 from august_jax.models.flow import RealNVP
-from august_jax.models.frame import READINGS, into_craft, moments, out_of_craft
+from august_jax.models.frame import READINGS, facing, facing_back, into_craft, moments, out_of_craft
 from august_jax.models.layers import MLP, dense
 from august_jax.models.refchannel import RefChannel
 from august_jax.models.seeds import Seeds, draw_seeds
@@ -108,7 +108,7 @@ class August(nnx.Module):
         return mean if key is None else _sample(key, mean, log_variance)
 
     def readout(self, channel: jax.Array, predicted: jax.Array, snr_db: jax.Array) -> jax.Array:
-        """Linear reading of the condition (B, 30): what `frame.moments` says of the cloud.
+        """Linear reading of the condition (B, 30): what `frame.moments` says of the cloud, turned as `frame` says.
 
         It means something only where ``train.weight_readout`` was positive.
         """
@@ -145,6 +145,8 @@ class August(nnx.Module):
             condition = read = self.reference.channel_map(estimate)
             terms["reference"] = self.reference.loss(estimate, batch["reference"])
 
+        if self.config.model.frame == "craft":
+            cloud = facing(cloud, self._centre(*inputs[:2]))
         truth = moments(cloud)
         seeds = min(self.config.model.seeds, count)
         chosen = seeds + min(train.points, count - seeds)
@@ -187,7 +189,7 @@ class August(nnx.Module):
         draw = self._drawing(sampler, steps)
         reading = self._read(condition, channel, predicted)
         cloud = draw(key, self._settle(seed_key, condition, reading, draw), count)
-        return self._in_region(cloud, reading)
+        return self._in_region(cloud, reading, self._centre(channel, predicted))
 
     def denoising(self, key: jax.Array, channel: jax.Array, predicted: jax.Array, snr_db: jax.Array, count: int, *,
                   after: tuple[int, ...]) -> jax.Array:
@@ -197,7 +199,7 @@ class August(nnx.Module):
         reading = self._read(condition, channel, predicted)
         context = self._settle(seed_key, condition, reading, self._drawing("ancestral"))
         path = ancestral(key, self._denoise(context), (condition.shape[0], count, 5), self.schedule, after)
-        return self._in_region(path, reading)
+        return self._in_region(path, reading, self._centre(channel, predicted))
 
     @property
     def _frame_scale(self) -> float:
@@ -205,11 +207,18 @@ class August(nnx.Module):
 
     def _read(self, condition: jax.Array, channel: jax.Array, predicted: jax.Array) -> jax.Array:
         reading = self.readout_head(condition)
-        if self.config.model.scheme == "refchannel":
-            return reading
         # The place is read relative to the point about which the encoder describes the channel.
-        _, centre = self.encoder.channel_input.centred(channel, predicted)
-        return reading.at[:, :3].add((centre - predicted) / self.config.region.scale_m)
+        centre = self._centre(channel, predicted)
+        offset = (centre - predicted) / self.config.region.scale_m
+        if self.config.model.frame == "craft":
+            offset = facing(offset[:, None], centre)[:, 0]
+        return reading.at[:, :3].add(offset)
+
+    def _centre(self, channel: jax.Array, predicted: jax.Array) -> jax.Array:
+        """The point (B, 3) [m] about which the channel is described: the echo's bearing for ``roi``, else q_pre."""
+        if self.config.model.scheme == "refchannel":
+            return predicted
+        return self.encoder.channel_input.centred(channel, predicted)[1]
 
     def _with_seeds(self, condition: jax.Array, seeds: jax.Array, known: jax.Array) -> jax.Array:
         return jnp.concatenate([condition, self.seeds(seeds, known, condition)], axis=-1)
@@ -234,11 +243,11 @@ class August(nnx.Module):
         seeds, _ = jax.lax.scan(one_more, nothing, jnp.arange(count))
         return self._with_seeds(condition, seeds, jnp.full(condition.shape[:1], count))
 
-    def _in_region(self, clouds: jax.Array, reading: jax.Array) -> jax.Array:
+    def _in_region(self, clouds: jax.Array, reading: jax.Array, centre: jax.Array) -> jax.Array:
         """Diffused clouds (..., B, M, 5) in the coordinates of the region."""
         if self.config.model.frame == "region":
             return clouds
-        return out_of_craft(clouds, reading, self._frame_scale)
+        return facing_back(out_of_craft(clouds, reading, self._frame_scale), centre)
 
     def _drawing(self, sampler: str, steps: int = 0):
         """(key, context, number) -> that many points of each cloud, by one of SAMPLERS."""

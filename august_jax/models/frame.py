@@ -5,10 +5,13 @@ point: a craft whose range is known to 10 cm comes out as 10 cm of fog. With `co
 cloud commits to one place and one thrust axis, which a linear readout of the condition states; the diffusion then
 draws points about that place, in level axes, in units of the half-wheelbase:
 
-    p' = R(n)^T (p - m) s/h,
+    p' = R(n)^T (B^T p - m) s/h,
 
-m the mean of the points, n the normal of their flattest plane, R(n) the smallest rotation of e_z to n, s the region's
-scale and h the half-wheelbase. Material numbers stay as they are. The frame ``region`` is the paper's: p' = p.
+B the rotation about z that turns e_x into the horizontal direction in which the base station sees the region, m the mean
+of the points B^T p, n the normal of their flattest plane, R(n) the smallest rotation of e_z to n, s the region's scale
+and h the half-wheelbase. An echo tells headings relative to the line of sight, and a craft seen from its side looks the
+same wherever it flies: with B this need not be learned. Material numbers stay as they are. The frame ``region`` is the
+paper's: p' = p.
 """
 
 from __future__ import annotations
@@ -64,8 +67,26 @@ def pose(reading: jax.Array) -> tuple[jax.Array, jax.Array]:
     return reading[..., :3], jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
 
 
+def facing(cloud: jax.Array, place: jax.Array) -> jax.Array:
+    """Clouds (..., M, 3 or 5) turned by B^T: x away from the array's axis x = y = 0 at the place (..., 3) [m]."""
+    return _about_vertical(cloud, place, -1.0)
+
+
+def facing_back(cloud: jax.Array, place: jax.Array) -> jax.Array:
+    """Inverse of :func:`facing`."""
+    return _about_vertical(cloud, place, 1.0)
+
+
+def _about_vertical(cloud, place, sense):
+    distance = jnp.maximum(jnp.linalg.norm(place[..., :2], axis=-1), 1e-6)
+    cosine, sine = place[..., 0, None] / distance[..., None], sense * place[..., 1, None] / distance[..., None]
+    x, y = cloud[..., 0], cloud[..., 1]
+    turned = jnp.stack([cosine * x - sine * y, sine * x + cosine * y], axis=-1)
+    return jnp.concatenate([turned, cloud[..., 2:]], axis=-1)
+
+
 def into_craft(cloud: jax.Array, reading: jax.Array, scale: float) -> jax.Array:
-    """Clouds (..., M, 5) of the region in the craft's frame; ``scale`` is s/h."""
+    """Clouds (..., M, 5), turned by :func:`facing`, in the craft's frame; ``scale`` is s/h."""
     place, rotation = pose(reading)
     points = scale * jnp.einsum("...ma,...ab->...mb", cloud[..., :3] - place[..., None, :], rotation)
     return jnp.concatenate([points, cloud[..., 3:]], axis=-1)
