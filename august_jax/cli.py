@@ -244,7 +244,8 @@ def _scheme_table(rows: Sequence[dict[str, Any]], snr: bool) -> str:
     """Rows of metrics as text; with ``snr``, each with its SNR and the bound."""
     columns = [("MPE [m]", "mpe_m", 3), ("MDE", "mde", 4), ("WD [dB]", "wd_db", 1), ("MCD [dB]", "mcd_db", 1)]
     if snr:
-        columns = [("SNR [dB]", "snr_db", 0), *columns, ("bound [m]", "bound_m", 3), ("of MDE", "bound_mde", 4)]
+        columns = [("SNR [dB]", "snr_db", 0), *columns, ("along [m]", "along_m", 3), ("across", "across_m", 3),
+                   ("bound [m]", "bound_m", 3), ("of MDE", "bound_mde", 4)]
     return _table([["scheme", *(title for title, _, _ in columns)],
                    *([row["scheme"], *(_cell(row[name], digits) for _, name, digits in columns)] for row in rows)])
 

@@ -67,7 +67,8 @@ def evaluate(networks: Networks, config: Config, *, seed: int,
 
     Returns:
         For each SNR and scheme a row ``scheme``, ``snr_db``, ``mpe_m`` [m], ``mde``, ``wd_db``, ``mcd_db`` [dB re
-        1 m^2], ``count``, ``bound_m`` [m] and ``bound_mde``; None where a scheme does not define a metric or the bound is
+        1 m^2], ``along_m`` and ``across_m`` (the position's root-mean-square error along the line of sight and across it)
+        [m], ``count``, ``bound_m`` [m] and ``bound_mde``; None where a scheme does not define a metric or the bound is
         not known.
     """
     count, slots = config.evaluate.count, config.flight.slots
@@ -106,8 +107,8 @@ def evaluate(networks: Networks, config: Config, *, seed: int,
             tilts = tilt_bound(known, samples["rotation"][_bounded(samples), :, 2], prior)
             bounds = {"bound_m": float(np.mean(mean_position_error(known, prior))),
                       "bound_mde": float(np.mean(0.5 * tilts**2))}  # 1 - cos of small angles
-        rows += [{"scheme": scheme, "snr_db": snr_db, **score(each, truth), "count": count, **bounds}
-                 for scheme, each in scored.items()]
+        rows += [{"scheme": scheme, "snr_db": snr_db, **score(each, truth), **_split(each, truth), "count": count,
+                  **bounds} for scheme, each in scored.items()]
         progress(f"SNR {snr_db:g} dB: MPE {rows[-len(scored)]['mpe_m']:.3f} m")
     return rows
 
@@ -165,6 +166,13 @@ def score(answer: Mapping[str, Any], truth: Mapping[str, Any]) -> dict[str, floa
         values["wd_db"] = float(metrics.wd_db(answer["cloud"], truth["cloud"], place, truth["position"]))
         values["mcd_db"] = float(metrics.mcd_db(answer["cloud"], truth["cloud"]))
     return values
+
+
+def _split(answer: Mapping[str, Any], truth: Mapping[str, Any]) -> dict[str, float | None]:
+    if "position" not in answer:
+        return {"along_m": None, "across_m": None}
+    along, across = metrics.along_and_across_m(answer["position"], truth["position"])
+    return {"along_m": float(along), "across_m": float(across)}
 
 
 def baselines(predicted, mean, again, key: jax.Array) -> dict[str, dict[str, Any]]:

@@ -90,6 +90,15 @@ def mpe_m(estimated_position, position) -> jax.Array:
     return jnp.mean(jnp.linalg.norm(jnp.asarray(estimated_position) - position, axis=-1))
 
 
+def along_and_across_m(estimated_position, position) -> tuple[jax.Array, jax.Array]:
+    """Root-mean-square errors of positions (B, 3) [m] along the line of sight from the origin and across it [m]."""
+    _check_vectors("estimated_position", estimated_position, "position", position)
+    error = jnp.asarray(estimated_position) - position
+    along = jnp.sum(error * position, axis=-1) / jnp.linalg.norm(position, axis=-1)
+    across = jnp.maximum(jnp.sum(error**2, axis=-1) - along**2, 0.0)
+    return jnp.sqrt(jnp.mean(along**2)), jnp.sqrt(jnp.mean(across))
+
+
 def mde(estimated_normal, normal) -> jax.Array:
     """Mean directional error, mean(1 - n.n^), of unit normals (B, 3)."""
     _check_vectors("estimated_normal", estimated_normal, "normal", normal)

@@ -80,3 +80,10 @@ def test_directional_error():
 def test_bad_input_is_named(call, words):
     with pytest.raises(ValueError, match=words):
         call()
+
+
+def test_errors_along_and_across_the_line_of_sight():
+    places = np.array([[3.0, 4.0, 0.0], [0.0, 0.0, 5.0]])
+    errors = np.array([[0.6, 0.8, 0.5], [0.3, 0.4, -1.0]])  # 1 m along and 0.5 m across, both
+    along, across = metrics.along_and_across_m(places + errors, places)
+    assert float(along) == pytest.approx(1.0, abs=1e-6) and float(across) == pytest.approx(0.5, abs=1e-6)
