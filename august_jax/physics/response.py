@@ -51,7 +51,7 @@ _ERROR = 3e-5  # relative error of H at _CHECK that is good enough; a weak echo 
 _SPAN_TOLERANCE = 5e-7  # smallest singular value kept of the incident fields, relative to the largest
 _BASIS_TOLERANCES = (3e-3, 1e-3)  # the same of the polarisations, tried in turn: H errs by about their square
 _APERTURE_TOLERANCE = 3e-6  # the same of the fields over the aperture
-_FORMAT = "body-3"
+_FORMAT = "body-4"
 
 
 @jax.tree_util.register_dataclass
@@ -363,7 +363,7 @@ def _factor(cells: Cells, frequency_hz: float, nearest_m: float) -> dict[str, np
     weight = np.repeat(np.sqrt(np.broadcast_to(cells.fill, cells.volumes.shape) * cells.volumes), 3)
     random = np.random.default_rng(0)
     samples, span, values = 1024, None, None
-    while span is None or (span.shape[1] > 0.65 * samples and samples < 3 * len(weight)):
+    while span is None or (span.shape[1] > 0.85 * samples and samples < 3 * len(weight)):
         samples = 3 * samples // 2
         span, values = _span(weight[:, None] * _random_fields(cells.sites(), k, nearest_m, samples, random),
                              _SPAN_TOLERANCE)

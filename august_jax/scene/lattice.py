@@ -5,7 +5,7 @@ distance to the nearest facet enters, so faces given twice, plates of no thickne
 through one another need no repair: their material is the union, and nothing counts double.
 
 The lattice is cubic with one cell centred at the origin. Each cell is divided into sub-cells of edge h, about 3/4
-of the skin thickness t. A sub-cell at distance r from its nearest facet, with normal n, holds the part of its volume
+of the skin thickness t, or a twelfth of the cell where that is longer. A sub-cell at distance r from its nearest facet, with normal n, holds the part of its volume
 that lies in the slab |n . x| < t/2 of that facet, F(t/2 - r) - F(-t/2 - r), where
 
     F(x) = sum over s in {-1, 1}^3 of s1 s2 s3 max(0, x + h s.n / 2)^3 / (6 h^3 |n1 n2 n3|)
@@ -25,6 +25,9 @@ from august_jax.physics.cells import Cells
 
 _NEGLIGIBLE = 0.05
 """Cells with less than this part of the fill of a sheet through the cell's middle are dropped."""
+_MOST_PARTS = 12
+"""Sub-cells along a cell's edge. Walls nearer to each other than a sub-cell count as one: on a quad_x with a skin of
+0.5 mm in 16.8 mm cells 0.7 % of the material is lost against 32 parts, which take nine times as long."""
 _TOWARDS_CENTROID = 0.4
 """Where a cell couples to the others, from its centre (0) to its material's centroid (1). Between centres a tilted sheet
 is a staircase; between centroids neighbours that share a corner's worth of material come too close for point dipoles.
@@ -54,7 +57,7 @@ def shell_cells(triangles: np.ndarray, cell_m: float, skin_m: float) -> Cells:
         raise ValueError(f"skin_m={skin_m!r}, cell_m={cell_m!r}: wanted 0 < skin_m <= cell_m, both in metres")
     triangles = np.asarray(triangles, dtype=np.float64)
     # half a skin is no more than a sub-cell then, so that the shell stays within the neighbours of those it passes
-    parts = int(np.ceil(cell_m / (0.75 * skin_m)))
+    parts = min(int(np.ceil(cell_m / (0.75 * skin_m))), _MOST_PARTS)
     step = cell_m / parts
     samples, owner = surface_grid(triangles, 0.5 * step)
 
@@ -70,7 +73,8 @@ def shell_cells(triangles: np.ndarray, cell_m: float, skin_m: float) -> Cells:
 
     # the nearest sample names the facet; the distance itself is taken to the whole facet
     reach = 0.5 * skin_m + 0.87 * step
-    _, sample = cKDTree(samples, balanced_tree=False).query(centres, distance_upper_bound=reach + step)
+    _, sample = cKDTree(samples, balanced_tree=False).query(
+        centres, distance_upper_bound=reach + step, workers=-1)
     found = sample < len(samples)
     index, centres, facet = index[found], centres[found], owner[sample[found]]
     distance = distance_to_triangles(centres, triangles[facet])
