@@ -409,6 +409,7 @@ def _simulate(args: argparse.Namespace) -> dict[str, Any]:
 
 def _train_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--data", metavar="DIR", help="what august simulate wrote (default: august_data/PRESET)")
+    parser.add_argument("--init", metavar="RUN", help="start from another run's weights, where names and shapes agree")
 
 
 def _train(args: argparse.Namespace) -> dict[str, Any]:
@@ -425,7 +426,7 @@ def _train(args: argparse.Namespace) -> dict[str, Any]:
     out = Path(args.out or f"august_runs/{config.preset}")
     _note(f"{len(dataset.rows('train'))} of {dataset.count} samples are for training, {config.train.steps} steps")
     state = train(config, batches, out, validate=validator(dataset, config), draw=training_curves,
-                  printer=_note)
+                  weights=Path(args.init) / "weights.npz" if args.init else None, printer=_note)
     last = json.loads((out / "metrics.jsonl").read_text().splitlines()[-1])
     _say(args, f"trained to step {int(state.step)}: " + "  ".join(f"{name} {value:.4g}" for name, value in last.items()
                                                                   if name not in ("step", "seconds_left")))

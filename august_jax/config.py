@@ -150,10 +150,8 @@ class ModelConfig:
     time_embedding: str = "paper"
     """``paper``: s/S and two octaves of sin, cos; ``log_snr``: Fourier features of the log-SNR of the noising."""
     frame: str = "region"
-    """Where points are diffused: ``region`` (the paper's), or ``craft``: about the place and along the thrust axis
-    that are read from the latent, so that a cloud commits to one of each; needs ``train.weight_readout``."""
-    seeds: int = 0
-    """Points that are drawn one after the other, each given those before, before all others; 0: the paper's way."""
+    """Where points are diffused: ``region`` (the paper's), or ``craft``: about the place, along the thrust axis and
+    the heading of one craft, on which a cloud settles before its points are drawn; needs ``train.weight_readout``."""
     steps: int = 200
     """S, diffusion steps."""
     beta: Range = (1e-4, 0.05)
@@ -234,7 +232,7 @@ def preset(name: str) -> Config:
         data=DataConfig(count=200_000),
         model=ModelConfig(
             encoder="roi", latent=64, flow_layers=6, flow_features=64, fourier=4,
-            denoiser=(64, 128, 256, 256, 128, 64), time_embedding="log_snr", frame="craft", seeds=8,
+            denoiser=(64, 128, 256, 256, 128, 64), time_embedding="log_snr", frame="craft",
         ),
         train=TrainConfig(steps=12_000, batch=256, points=6, learning_rate=(1e-3, 1e-5), reobserve=True,
                           weight_readout=1.0),
@@ -427,8 +425,6 @@ def _validate(config: Config) -> None:
          config.signal.symbols, f"needs at least one symbol an antenna ({config.array.count}), or 0 for just that"),
         (config.train.points <= config.target.points, "train.points", config.train.points,
          f"must not exceed target.points ({config.target.points})"),
-        (0 <= config.model.seeds < config.target.points, "model.seeds", config.model.seeds,
-         f"must lie in 0..{config.target.points - 1}, below target.points"),
         (all(tone > 0 for tone in config.array.tones_hz), "array.tones_hz", config.array.tones_hz, "must be positive"),
         (config.data.seed >= 0 and config.train.seed >= 0, "seed", (config.data.seed, config.train.seed),
          "data.seed and train.seed must not be negative"),

@@ -10,7 +10,7 @@ import pytest
 from august_jax.config import preset
 from august_jax.models import reconstruct
 from august_jax.training import Checkpoints, compiled_step, initial_state, load_weights, save_weights, train
-from august_jax.training.checkpoint import flatten
+from august_jax.training.checkpoint import flatten, warm_start
 
 SMOKE = preset("smoke")
 MODEL = replace(SMOKE.model, channel_features=8, encoder_features=16, encoder_layers=1, latent=4, fourier=1,
@@ -176,3 +176,25 @@ def test_an_empty_folder_has_no_checkpoint(tmp_path):
         assert checkpoints.latest is None
         with pytest.raises(ValueError, match="no checkpoint in"):
             checkpoints.restore(state)
+
+
+def test_a_run_may_start_from_what_fits_of_another(tmp_path):
+    networks, state = initial_state(CONFIG)
+    _, other = initial_state(replace(CONFIG, train=replace(CONFIG.train, seed=3)))
+    save_weights(tmp_path / "other.npz", networks.arrays(np.asarray(other.params)))
+    started, kept = warm_start(networks, state, tmp_path / "other.npz")
+    assert kept == []
+    np.testing.assert_array_equal(started.params, other.params)
+    np.testing.assert_array_equal(started.ema, other.params)
+
+    wider, grown = initial_state(replace(CONFIG, model=replace(MODEL, denoiser=(24, 16))))
+    started, kept = warm_start(wider, grown, tmp_path / "other.npz")
+    assert kept and all(name.startswith("denoiser.layers") for name in kept)
+    own, wanted = flatten(wider.arrays(np.asarray(started.params))), flatten(networks.arrays(np.asarray(other.params)))
+    before = flatten(wider.arrays(np.asarray(grown.params)))
+    for name, leaf in own.items():
+        np.testing.assert_array_equal(leaf, before[name] if name in kept else wanted[name], err_msg=name)
+
+    np.savez(tmp_path / "alien.npz", nothing=np.zeros(3))
+    with pytest.raises(ValueError, match="no parameter in .*alien.npz fits"):
+        warm_start(networks, state, tmp_path / "alien.npz")

@@ -16,8 +16,8 @@ asked for: the mean spares the estimate the posterior's spread, and training saw
 
 An optional term trains a linear readout of the posterior mean to the cloud's moments (`frame.moments`). It shapes
 the latent early, when the diffusion's gradient is mostly noise, and reads a position without sampling a cloud. With
-`config.model.frame` = ``craft`` the diffusion draws points in the frame that the readout states (`frame`), and with
-`config.model.seeds` points the cloud settles on one craft first (`seeds`).
+`config.model.frame` = ``craft`` the cloud first settles on one craft and heading (`signature`), and the diffusion draws
+points in the frame that these and the readout state (`frame`).
 
 Schemes (`config.model.scheme`): ``august``; ``noebd`` without the embeddings of position and SNR (with the ``roi``
 encoder q_pre still centres the subspace); ``nolatent``, where f itself conditions the diffusion and there is no
@@ -39,10 +39,12 @@ from august_jax.models.denoiser import Denoiser
 from august_jax.models.diffusion import Schedule, add_noise, ancestral, dpm, draw_steps
 from august_jax.models.encoder import Encoder
 from august_jax.models.flow import RealNVP
-from august_jax.models.frame import READINGS, facing, facing_back, into_craft, moments, out_of_craft
+from august_jax.models.frame import (
+    READINGS, facing, facing_back, into_craft, moments, out_of_craft, straightened,
+)
 from august_jax.models.layers import MLP, dense
 from august_jax.models.refchannel import RefChannel
-from august_jax.models.seeds import Seeds, draw_seeds
+from august_jax.models.signature import NUMBERS, Signature, shaken
 
 SAMPLERS = ("dpm", "ancestral")
 _LOG_VARIANCE_LIMIT = 12.0
@@ -70,8 +72,9 @@ class August(nnx.Module):
             self.mean_head = MLP(model.encoder_features, model.encoder_features, model.latent, rngs=rngs)
             self.variance_head = MLP(model.encoder_features, model.encoder_features, model.latent, rngs=rngs)
             self.prior = RealNVP(model.latent, model.flow_layers, model.flow_features, rngs=rngs)
-        self.seeds = Seeds(model.seeds, condition, rngs=rngs) if model.seeds else None
-        context = condition + (self.seeds.size if self.seeds else 0)
+        self.signature = (Signature(condition, self.schedule, model.time_embedding, rngs=rngs)
+                          if model.frame == "craft" else None)
+        context = condition + (NUMBERS + 2 if self.signature else 0)  # the signature and the material
         self.denoiser = Denoiser(model.denoiser, context, self.schedule, model.time_embedding, rngs=rngs)
         self.readout_head = dense(condition, READINGS, gain=0.0, rngs=rngs)
 
@@ -128,7 +131,7 @@ class August(nnx.Module):
         scheme = self.config.model.scheme
         self._check(batch)
         batch = {name: jnp.asarray(array) for name, array in batch.items()}
-        step_key, noise_key, latent_key, point_key, seed_key = jax.random.split(key, 5)
+        step_key, noise_key, latent_key, point_key, signature_key = jax.random.split(key, 5)
         cloud = batch["cloud"]
         clouds, count = cloud.shape[:2]
         inputs = (batch["channel"], batch["predicted"], batch["snr_db"])
@@ -145,19 +148,18 @@ class August(nnx.Module):
             condition = read = self.reference.channel_map(estimate)
             terms["reference"] = self.reference.loss(estimate, batch["reference"])
 
-        if self.config.model.frame == "craft":
+        if self.signature:
             cloud = facing(cloud, self._centre(*inputs[:2]))
         truth = moments(cloud)
-        seeds = min(self.config.model.seeds, count)
-        chosen = seeds + min(train.points, count - seeds)
         points = cloud
-        if seeds or chosen < count:
-            points = cloud[:, jax.random.choice(point_key, count, (chosen,), replace=False)]
-        if self.config.model.frame == "craft":
-            points = into_craft(points, truth, self._frame_scale)
-        if self.seeds:
-            condition = self._with_seeds(condition, *draw_seeds(seed_key, points[:, :seeds]))
-            points = points[:, seeds:]
+        if train.points < count:
+            points = cloud[:, jax.random.choice(point_key, count, (train.points,), replace=False)]
+        if self.signature:
+            draw_key, shake_key = jax.random.split(signature_key)
+            terms["signature"] = self.signature.loss(draw_key, truth[:, -NUMBERS:], condition)
+            own = truth.at[:, -NUMBERS:].set(shaken(shake_key, truth[:, -NUMBERS:]))
+            condition = self._context(condition, own)
+            points = into_craft(points, own, self._frame_scale)
         step = draw_steps(step_key, clouds, self.schedule)
         noise = jax.random.normal(noise_key, points.shape)
         noisy = add_noise(points, noise, step, self.schedule)
@@ -167,7 +169,7 @@ class August(nnx.Module):
         terms["readout"] = jnp.mean(jnp.sum((self._read(read, *inputs[:2]) - truth) ** 2, axis=-1))
         weights = {
             "position": train.weight_position, "material": train.weight_material, "latent": train.weight_latent,
-            "reference": 1.0, "readout": train.weight_readout,
+            "reference": 1.0, "readout": train.weight_readout, "signature": train.weight_position,
         }
         return sum(weights[name] * term for name, term in terms.items()), terms
 
@@ -184,20 +186,21 @@ class August(nnx.Module):
         """
         if sampler not in SAMPLERS:
             raise ValueError(f"sampler: unknown sampler {sampler!r}; choose dpm or ancestral")
-        latent_key, seed_key, key = jax.random.split(key, 3)
+        latent_key, signature_key, key = jax.random.split(key, 3)
         condition = self.condition(channel, predicted, snr_db, latent_key if sample_latent else None)
-        draw = self._drawing(sampler, steps)
+        sample = self._sampler(sampler, steps)
         reading = self._read(condition, channel, predicted)
-        cloud = draw(key, self._settle(seed_key, condition, reading, draw), count)
+        context, reading = self._settle(signature_key, condition, reading, sample)
+        cloud = sample(key, self._denoise(context), (len(context), count, 5))
         return self._in_region(cloud, reading, self._centre(channel, predicted))
 
     def denoising(self, key: jax.Array, channel: jax.Array, predicted: jax.Array, snr_db: jax.Array, count: int, *,
                   after: tuple[int, ...]) -> jax.Array:
         """The clouds on their way, (len(after), B, count, 5), once ``after`` of the S ancestral steps are done."""
         condition = self.condition(channel, predicted, snr_db)
-        seed_key, key = jax.random.split(key)
+        signature_key, key = jax.random.split(key)
         reading = self._read(condition, channel, predicted)
-        context = self._settle(seed_key, condition, reading, self._drawing("ancestral"))
+        context, reading = self._settle(signature_key, condition, reading, self._sampler("ancestral"))
         path = ancestral(key, self._denoise(context), (condition.shape[0], count, 5), self.schedule, after)
         return self._in_region(path, reading, self._centre(channel, predicted))
 
@@ -210,7 +213,7 @@ class August(nnx.Module):
         # The place is read relative to the point about which the encoder describes the channel.
         centre = self._centre(channel, predicted)
         offset = (centre - predicted) / self.config.region.scale_m
-        if self.config.model.frame == "craft":
+        if self.signature:
             offset = facing(offset[:, None], centre)[:, 0]
         return reading.at[:, :3].add(offset)
 
@@ -220,44 +223,31 @@ class August(nnx.Module):
             return predicted
         return self.encoder.channel_input.centred(channel, predicted)[1]
 
-    def _with_seeds(self, condition: jax.Array, seeds: jax.Array, known: jax.Array) -> jax.Array:
-        return jnp.concatenate([condition, self.seeds(seeds, known, condition)], axis=-1)
+    def _context(self, condition: jax.Array, reading: jax.Array) -> jax.Array:
+        """The denoiser's context: the condition, the signature in the craft's own axes, and the material.
 
-    def _settle(self, key: jax.Array, condition: jax.Array, reading: jax.Array, draw) -> jax.Array:
-        """The denoiser's context: the condition and, where the model has seeds, those that ``draw`` drew in turn.
-
-        In the craft's frame the material is read like the place: a mean errs less than one draw from the posterior.
+        The material is read like the place: a mean errs less than one draw from the posterior.
         """
-        if self.seeds is None:
-            return condition
+        return jnp.concatenate([condition, straightened(reading[:, -NUMBERS:]), reading[:, 3:5]], axis=-1)
 
-        def one_more(seeds, number):
-            known = jnp.broadcast_to(number, condition.shape[:1])
-            point = draw(jax.random.fold_in(key, number), self._with_seeds(condition, seeds, known), 1)
-            if self.config.model.frame == "craft":
-                point = point.at[..., 3:].set(reading[:, None, 3:5])
-            return jax.lax.dynamic_update_slice(seeds, point, (0, number, 0)), None
-
-        count = self.seeds.count
-        nothing = jnp.zeros((condition.shape[0], count, 5), condition.dtype)
-        seeds, _ = jax.lax.scan(one_more, nothing, jnp.arange(count))
-        return self._with_seeds(condition, seeds, jnp.full(condition.shape[:1], count))
+    def _settle(self, key: jax.Array, condition: jax.Array, reading: jax.Array, sample) -> tuple[jax.Array, jax.Array]:
+        """The denoiser's context and the reading, in which a signature that was drawn stands for the one read."""
+        if self.signature is None:
+            return condition, reading
+        reading = reading.at[:, -NUMBERS:].set(self.signature.draw(key, condition, sample))
+        return self._context(condition, reading), reading
 
     def _in_region(self, clouds: jax.Array, reading: jax.Array, centre: jax.Array) -> jax.Array:
         """Diffused clouds (..., B, M, 5) in the coordinates of the region."""
-        if self.config.model.frame == "region":
+        if self.signature is None:
             return clouds
         return facing_back(out_of_craft(clouds, reading, self._frame_scale), centre)
 
-    def _drawing(self, sampler: str, steps: int = 0):
-        """(key, context, number) -> that many points of each cloud, by one of SAMPLERS."""
-        def draw(key, context, number):
-            shape = (context.shape[0], number, 5)
-            if sampler == "dpm":
-                return dpm(key, self._denoise(context), shape, self.schedule, steps)
-            return ancestral(key, self._denoise(context), shape, self.schedule)
-
-        return draw
+    def _sampler(self, name: str, steps: int = 0):
+        """(key, denoise, shape) -> draws, by one of SAMPLERS."""
+        if name == "dpm":
+            return lambda key, denoise, shape: dpm(key, denoise, shape, self.schedule, steps)
+        return lambda key, denoise, shape: ancestral(key, denoise, shape, self.schedule)
 
     def _denoise(self, condition: jax.Array):
         return lambda points, step: self.denoiser(points, step, condition)

@@ -5,11 +5,11 @@ point: a craft whose range is known to 10 cm comes out as 10 cm of fog. With `co
 cloud commits to one place and one thrust axis, which a linear readout of the condition states; the diffusion then
 draws points about that place, in level axes, in units of the half-wheelbase:
 
-    p' = R(n)^T (B^T p - m) s/h,
+    p' = Z(a)^T R(n)^T (B^T p - m) s/h,
 
 B the rotation about z that turns e_x into the horizontal direction in which the base station sees the region, m the mean
-of the points B^T p, n the normal of their flattest plane, R(n) the smallest rotation of e_z to n, s the region's scale
-and h the half-wheelbase. An echo tells headings relative to the line of sight, and a craft seen from its side looks the
+of the points B^T p, n the normal of their flattest plane, R(n) the smallest rotation of e_z to n, Z(a) the rotation by
+the :func:`heading` a about z, s the region's scale and h the half-wheelbase. An echo tells headings relative to the line of sight, and a craft seen from its side looks the
 same wherever it flies: with B this need not be learned. Material numbers stay as they are. The frame ``region`` is the
 paper's: p' = p.
 """
@@ -85,15 +85,45 @@ def _about_vertical(cloud, place, sense):
     return jnp.concatenate([turned, cloud[..., 2:]], axis=-1)
 
 
+def heading(harmonics: jax.Array) -> jax.Array:
+    """The angle a (...,) [rad] that the strongest of c_1..c_8 states: arg(c_n)/n of (..., 16), as in :func:`moments`.
+
+    A craft of n equal arms has one at a, and looks the same from each of the n headings among which a is chosen.
+    """
+    values = _complex(harmonics)
+    order = jnp.argmax(jnp.abs(values), axis=-1)
+    return jnp.angle(jnp.take_along_axis(values, order[..., None], axis=-1)[..., 0]) / (order + 1.0)
+
+
+def straightened(harmonics: jax.Array) -> jax.Array:
+    """Harmonics (..., 16) of the cloud after it is turned back by its :func:`heading`."""
+    turn = jnp.exp(-1j * heading(harmonics)[..., None] * jnp.arange(1, _HARMONICS + 1))
+    values = _complex(harmonics) * turn
+    return jnp.concatenate([values.real, values.imag], axis=-1)
+
+
+def _complex(harmonics):
+    return jax.lax.complex(harmonics[..., :_HARMONICS], harmonics[..., _HARMONICS:])
+
+
+def _axes(reading):
+    """Place m and axes R(n) Z(a) of a reading."""
+    place, rotation = pose(reading)
+    angle = heading(reading[..., 14:])
+    cosine, sine = jnp.cos(angle)[..., None], jnp.sin(angle)[..., None]
+    x, y = rotation[..., 0], rotation[..., 1]
+    return place, jnp.stack([cosine * x + sine * y, cosine * y - sine * x, rotation[..., 2]], axis=-1)
+
+
 def into_craft(cloud: jax.Array, reading: jax.Array, scale: float) -> jax.Array:
     """Clouds (..., M, 5), turned by :func:`facing`, in the craft's frame; ``scale`` is s/h."""
-    place, rotation = pose(reading)
+    place, rotation = _axes(reading)
     points = scale * jnp.einsum("...ma,...ab->...mb", cloud[..., :3] - place[..., None, :], rotation)
     return jnp.concatenate([points, cloud[..., 3:]], axis=-1)
 
 
 def out_of_craft(cloud: jax.Array, reading: jax.Array, scale: float) -> jax.Array:
     """Inverse of :func:`into_craft`."""
-    place, rotation = pose(reading)
+    place, rotation = _axes(reading)
     points = jnp.einsum("...mb,...ab->...ma", cloud[..., :3] / scale, rotation) + place[..., None, :]
     return jnp.concatenate([points, cloud[..., 3:]], axis=-1)

@@ -19,7 +19,7 @@ from flax import nnx
 
 from august_jax.config import Config
 from august_jax.models import create
-from august_jax.training.step import TrainState
+from august_jax.training.step import Networks, TrainState
 
 _KEEP = 2
 
@@ -108,6 +108,14 @@ def load_weights(path: str | os.PathLike, config: Config) -> tuple[nnx.GraphDef,
     """
     graphdef, state = create(config, 0)
     wanted = flatten(state)
+    arrays = read_weights(path)
+    compare({name: leaf.shape for name, leaf in arrays.items()}, wanted, path)
+    leaves = [jnp.asarray(arrays[name], leaf.dtype) for name, leaf in wanted.items()]
+    return graphdef, jax.tree.unflatten(jax.tree.structure(state), leaves)
+
+
+def read_weights(path: str | os.PathLike) -> dict[str, np.ndarray]:
+    """The arrays that :func:`save_weights` wrote, by dotted name; ValueError where the file is missing or damaged."""
     try:
         with Path(path).open("rb") as file, zipfile.ZipFile(file) as members:
             arrays = {}
@@ -116,9 +124,25 @@ def load_weights(path: str | os.PathLike, config: Config) -> tuple[nnx.GraphDef,
                     arrays[name.removesuffix(".npy")] = np.lib.format.read_array(member, allow_pickle=False)
     except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
         raise ValueError(f"path: {path} is not a readable .npz file of weights ({error})") from error
-    compare({name: leaf.shape for name, leaf in arrays.items()}, wanted, path)
-    leaves = [jnp.asarray(arrays[name], leaf.dtype) for name, leaf in wanted.items()]
-    return graphdef, jax.tree.unflatten(jax.tree.structure(state), leaves)
+    return arrays
+
+
+def warm_start(networks: Networks, state: TrainState, path: str | os.PathLike) -> tuple[TrainState, list[str]]:
+    """``state`` with the parameters of another run's weights, wherever name and shape agree.
+
+    Returns:
+        The state, and the names of the parameters that kept their own start.
+
+    Raises:
+        ValueError: the file cannot be read, or nothing in it fits.
+    """
+    stored, own = read_weights(path), flatten(networks.arrays(np.asarray(state.params)))
+    kept = [name for name, leaf in own.items() if name not in stored or stored[name].shape != leaf.shape]
+    if len(kept) == len(own):
+        raise ValueError(f"path: no parameter in {path} fits these networks; give a run of a like model.* configuration")
+    params = jnp.asarray(np.concatenate([
+        np.ravel(leaf if name in kept else stored[name]).astype(np.float32) for name, leaf in own.items()]))
+    return state._replace(params=params, ema=jnp.copy(params)), kept
 
 
 def flatten(tree: Any) -> dict[str, jax.Array]:

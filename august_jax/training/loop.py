@@ -22,7 +22,7 @@ from flax import nnx
 
 from august_jax import config as configuration
 from august_jax.config import Config
-from august_jax.training.checkpoint import Checkpoints, save_weights
+from august_jax.training.checkpoint import Checkpoints, save_weights, warm_start
 from august_jax.training.step import TrainState, compiled_step, initial_state
 
 NextBatch = Callable[[int], Mapping[str, Any]]
@@ -36,7 +36,8 @@ Draw = Callable[[Path, Path], None]
 
 
 def train(config: Config, next_batch: NextBatch, out_dir: str | os.PathLike, *, validate: Validate | None = None,
-          draw: Draw | None = None, resume: bool = True, printer: Callable[[str], None] = print) -> TrainState:
+          draw: Draw | None = None, resume: bool = True, weights: str | os.PathLike | None = None,
+          printer: Callable[[str], None] = print) -> TrainState:
     """Train to ``config.train.steps`` and return the last state.
 
     The next batch is made in a thread while a step runs. Every ``save_every`` steps, and at the end, the state is
@@ -47,10 +48,11 @@ def train(config: Config, next_batch: NextBatch, out_dir: str | os.PathLike, *, 
         next_batch: must depend on the step alone, or a continued run sees other data.
         out_dir: made if missing.
         resume: continue from the folder's last checkpoint if there is one; otherwise start again over it.
+        weights: another run's weights, from which a run that starts anew takes what fits.
         printer: takes progress lines.
 
     Raises:
-        ValueError: the folder holds a run of another configuration.
+        ValueError: nothing in ``weights`` fits, or the folder holds a run of another configuration.
         FloatingPointError: the loss is not finite; names the step and the terms.
     """
     train = config.train
@@ -64,6 +66,10 @@ def train(config: Config, next_batch: NextBatch, out_dir: str | os.PathLike, *, 
             state = checkpoints.restore(state)
             start = int(state.step)
             printer(f"continuing from step {start} of {train.steps}")
+        elif weights is not None:
+            state, kept = warm_start(networks, state, weights)
+            printer(f"starting from {weights}" + (f", but for {len(kept)} arrays that it lacks, such as {kept[0]}"
+                                                  if kept else ""))
         (out / "config.yaml").write_text(configuration.to_yaml(config), encoding="utf-8")
         metrics = out / "metrics.jsonl"
         _forget_after(metrics, start)
