@@ -28,7 +28,7 @@ from august_jax.physics.array import AntennaArray, PlanarArray, wavenumber
 from august_jax.physics.cells import Cells
 from august_jax.physics.checks import check_cells, check_contrast, is_concrete, warn_of_coarse_cells
 from august_jax.physics.green import dipole_fields
-from august_jax.physics.krylov import solve_krylov, stationary_channel
+from august_jax.physics.krylov import moving_channel, solve_moving
 from august_jax.physics.mom import interaction_matrix, solve_dense, weighted_fields
 
 
@@ -161,9 +161,8 @@ def _channel(array, receiver, cells, contrast, solver, frequency_hz):
     if solver == "krylov":
         # The stationary form wants both ends' fields solved for: one joint problem, of which one block is the answer.
         both = jnp.concatenate(fields, axis=1)
-        matrix = interaction_matrix(cells, k)
-        solution = solve_krylov(*jax.lax.stop_gradient((matrix, contrast, both)))
-        channel = k**2 * stationary_channel(matrix, contrast, both, solution)
+        solution = solve_moving(*jax.lax.stop_gradient((cells, k, contrast, both)))
+        channel = k**2 * moving_channel(cells, k, contrast, both, solution)
         channel = channel[-fields[-1].shape[1] :, : fields[0].shape[1]]
     else:
         channel = k**2 * fields[-1].T @ _POLARIZATIONS[solver](cells, contrast, fields[0], k)

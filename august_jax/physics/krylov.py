@@ -4,12 +4,17 @@ With y = D^{-1/2} P the system of :mod:`august_jax.physics.mom` reads
 
     A y = b,    A = I - D^{1/2} K' D^{1/2},    b = D^{1/2} E',    H = k^2 b^T y,
 
-A complex symmetric, A = A^T. Three properties of it are used:
+A complex symmetric, A = A^T. Four properties of it are used:
 
 - The N_b incident fields on a body some wavelengths away span few dimensions. Only the leading right singular vectors V
   of b are solved for, b V. By the form below H errs by the square of what V leaves out.
-- Conjugate orthogonal conjugate residuals (Sogabe and Zhang, 2007) take one product with A a step and converge smoothly
-  for contrasts of plastics and composites. All columns step together.
+- What a cell does to itself, the block K'_ii, is undone exactly: with C_i C_i^T = (I - chi_i K'_ii)^{-1} and y = C z,
+
+      C^T A C z = C^T b,    C^T A C = I - C^T D^{1/2} (K' - diag K'_ii) D^{1/2} C,
+
+  which is complex symmetric again and knows the coupling alone: a third fewer steps.
+- Conjugate orthogonal conjugate residuals (Sogabe and Zhang, 2007) take one product a step and converge smoothly for
+  contrasts of plastics and composites. All columns step together.
 - In terms of the polarisation P = D^{1/2} y, the channel
 
       H(P) = k^2 (2 P^T E' - P^T D^{-1} P + P^T K' P)
@@ -25,10 +30,15 @@ says so.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+
+from august_jax.physics.cells import Cells
+from august_jax.physics.mom import centred, coupling_weights, interaction_matrix, own_blocks
+from august_jax.physics.planes import coupled_fields, coupling_change, coupling_planes
 
 TOLERANCE = 3e-5
 """Relative residual at which a column is done: a gradient errs by as much, H by about its square."""
@@ -69,41 +79,125 @@ def solve_krylov(
         tolerance: relative residual to reach.
         steps: how many to try.
     """
-    root = _root(contrast, matrix)
-    vectors, missed = _leading(fields)
-    few = fields @ vectors
-    right = root * few
+    place = jnp.arange(matrix.shape[0] // 3)
+    own = matrix.reshape(len(place), 3, len(place), 3)[place, :, place]
     interact = _real_product(matrix)
-    scaled, taken = _cocr(lambda y: y - root * interact(root * y), right, tolerance, steps)
+    return solve_coupled(lambda p: interact(p) - _blockwise(own, p), own, lambda: matrix, contrast, fields,
+                         tolerance=tolerance, steps=steps)
 
-    def finish(y):
-        image = interact(root * y)
-        return y, image, _relative(right - y + root * image, right)
 
+def solve_moving(
+    cells: Cells, wavenumber: float | jax.Array, contrast: jax.Array, fields: jax.Array
+) -> KrylovSolution:
+    """:func:`solve_krylov` of cells, from planes: K' itself is assembled only where LU has to take over."""
+    planes = coupling_planes(centred(cells), wavenumber)
+    weights = coupling_weights(cells, wavenumber)
+    return solve_coupled(lambda p: weights * coupled_fields(planes, weights * p), own_blocks(cells, wavenumber),
+                         lambda: interaction_matrix(cells, wavenumber), contrast, fields)
+
+
+def solve_coupled(
+    couple: Callable[[jax.Array], jax.Array],
+    own: jax.Array,
+    matrix: Callable[[], jax.Array],
+    contrast: jax.Array,
+    fields: jax.Array,
+    *,
+    tolerance: float = TOLERANCE,
+    steps: int = _STEPS,
+) -> KrylovSolution:
+    """The solution where K' is given by what it does.
+
+    Args:
+        couple: P (3N, R') to what the other cells add to the fields, (K' - diag K'_ii) P.
+        own: K'_ii (N, 3, 3).
+        matrix: gives K' (3N, 3N), for LU.
+        contrast, fields, tolerance, steps: as in :func:`solve_krylov`.
+    """
+    root = _root(contrast, fields)
+    local = _local_factor(contrast, own)
+    turned = jnp.swapaxes(local, -1, -2)
+    vectors, missed = _leading(fields)
+
+    def image(y):
+        p = root * y
+        return couple(p) + _blockwise(own, p)
+
+    def iterated(few):
+        right = root * few
+        local_solution, taken = _cocr(
+            lambda z: z - _blockwise(turned, root * couple(root * _blockwise(local, z))), _blockwise(turned, right),
+            tolerance, steps)
+        y = _blockwise(local, local_solution)
+        return y, image(y), taken
+
+    few = _product(fields, vectors)
+    y, inner, taken = _on_used_columns(iterated, few)
+    right = root * few
     # The recurrence drifts from the true residual in single precision: only the true one is believed.
-    iterated = finish(scaled)
-    failed = ~(iterated[2] <= 3.0 * tolerance)
+    residual = _relative(right - y + root * inner, right)
+    failed = ~(residual <= 3.0 * tolerance)
 
     def by_lu(_):
-        system = jnp.eye(matrix.shape[0], dtype=matrix.dtype) - root * matrix * root[:, 0]
-        return finish(jnp.linalg.solve(system, right))
+        system = matrix()
+        system = jnp.eye(len(system), dtype=system.dtype) - root * system * root[:, 0]
+        y = jnp.linalg.solve(system, right)
+        inner = image(y)
+        return y, inner, _relative(right - y + root * inner, right)
 
-    scaled, image, residual = jax.lax.cond(failed, by_lu, lambda _: iterated, None)
-    residual = jnp.maximum(residual, missed)
-    return KrylovSolution(scaled, few + image, vectors, residual, taken, failed)
+    y, inner, residual = jax.lax.cond(failed, by_lu, lambda _: (y, inner, residual), None)
+    return KrylovSolution(y, few + inner, vectors, jnp.maximum(residual, missed), taken, failed)
 
 
 def stationary_channel(
     matrix: jax.Array, contrast: jax.Array, fields: jax.Array, solution: KrylovSolution
 ) -> jax.Array:
     """H/k^2 (R, R) of K', chi and E'; ``solution`` is held fixed under differentiation."""
+    return _stationary(lambda p, image: _quadratic(matrix, p, image), contrast, fields, solution)
+
+
+def moving_channel(
+    cells: Cells, wavenumber: float | jax.Array, contrast: jax.Array, fields: jax.Array, solution: KrylovSolution
+) -> jax.Array:
+    """:func:`stationary_channel` of cells, differentiable in them without K'."""
+    own, weights = own_blocks(cells, wavenumber), coupling_weights(cells, wavenumber)
+    fixed_own, fixed_weights = jax.lax.stop_gradient((own, weights))
+
+    def quadratic(p, image):
+        # Each term but the first is zero, and is there for its derivative: in w, in the blocks, in G.
+        weighing = p.T @ ((weights / fixed_weights - 1.0) * (image - _blockwise(fixed_own, p)))
+        moving = _on_used_columns(
+            lambda x: coupling_change(centred(cells), wavenumber, x), fixed_weights * p, square=True)
+        return p.T @ image + weighing + weighing.T + p.T @ _blockwise(own - fixed_own, p) + moving
+
+    return _stationary(quadratic, contrast, fields, solution)
+
+
+def _stationary(quadratic, contrast, fields, solution):
+    """The stationary form, of which ``quadratic`` gives P^T K' P from P and K' P, both held fixed."""
     y, q, v = (jax.lax.stop_gradient(part) for part in solution[:3])
-    chi = jnp.repeat(jnp.broadcast_to(contrast, (matrix.shape[0] // 3,)), 3)[:, None].astype(matrix.dtype)
-    p = jax.lax.stop_gradient(_root(contrast, matrix)) * y
-    cross = v.conj() @ (p.T @ fields)
-    image = q - jax.lax.stop_gradient(fields) @ v
-    own = _quadratic(matrix, p, image) - y.T @ y + q.T @ ((chi - jax.lax.stop_gradient(chi)) * q)
+    fixed_fields = jax.lax.stop_gradient(fields)
+    chi = jnp.repeat(jnp.broadcast_to(contrast, (len(fields) // 3,)), 3)[:, None].astype(fields.dtype)
+    p = jax.lax.stop_gradient(_root(contrast, fields)) * y
+    cross = v.conj() @ _product(p.T, fields)
+    image = q - _product(fixed_fields, v)
+    own = quadratic(p, image) - y.T @ y + q.T @ ((chi - jax.lax.stop_gradient(chi)) * q)
     return cross + cross.T + v.conj() @ own @ v.conj().T
+
+
+def _on_used_columns(call, x, square=False):
+    """``call`` on the first half of the columns of ``x`` where the others are zero, as beyond some 20 m they are.
+
+    What it returns has as many columns, as many rows too if ``square``, and is zero where they are; or is a number.
+    """
+    half = x.shape[1] // 2
+    if x.shape[1] < _MOST:
+        return call(x)
+
+    def grown(part):
+        return jnp.pad(part, ((0, half if square else 0), (0, half))) if part.ndim else part
+
+    return jax.lax.cond(jnp.any(x[:, half:] != 0), call, lambda x: jax.tree.map(grown, call(x[:, :half])), x)
 
 
 def _leading(fields):
@@ -114,7 +208,7 @@ def _leading(fields):
     half = min(_MOST // 2, fields.shape[1])
     found, rest, largest = [], fields, None
     for floor in (_STRONG, _COMPRESSION):
-        values, vectors = jnp.linalg.eigh(rest.conj().T @ rest)
+        values, vectors = jnp.linalg.eigh(_product(rest.conj().T, rest))
         largest = jnp.maximum(values[-1], jnp.finfo(values.dtype).tiny) if largest is None else largest
         # Columns below the floor are zeroed: they converge at once.
         found.append(jnp.where(values[-half:] > floor**2 * largest, vectors[:, -half:], 0.0)[:, ::-1])
@@ -122,14 +216,36 @@ def _leading(fields):
         basis = basis[:, jnp.argsort(jnp.all(basis == 0, axis=0), stable=True)[: fields.shape[1]]]
         # What is weak was found beside the rounding errors of what is strong: make it orthogonal to that again.
         basis = jnp.where(jnp.any(basis != 0, axis=0), jnp.linalg.qr(basis)[0], 0.0)
-        rest = fields - (fields @ basis) @ basis.conj().T
+        rest = fields - _product(_product(fields, basis), basis.conj().T)
     return basis, jnp.max(jnp.sum(jnp.abs(rest) ** 2, axis=0)) / largest
 
 
-def _root(contrast, matrix):
+def _root(contrast, fields):
     """D^{1/2} (3N, 1)."""
-    root = jnp.sqrt(jnp.asarray(contrast).astype(matrix.dtype))
-    return jnp.repeat(jnp.broadcast_to(root, (matrix.shape[0] // 3,)), 3)[:, None]
+    root = jnp.sqrt(jnp.asarray(contrast).astype(fields.dtype))
+    return jnp.repeat(jnp.broadcast_to(root, (len(fields) // 3,)), 3)[:, None]
+
+
+def _local_factor(contrast, own):
+    """C (N, 3, 3) of C C^T = (I - chi K'_ii)^{-1}: the transposed inverse of a Cholesky factor, without conjugates."""
+    chi = jnp.broadcast_to(contrast, own.shape[:1]).astype(own.dtype)
+    (a, _, _), (b, c, _), (d, e, f) = (
+        [(row == column) - chi * own[:, row, column] for column in range(3)] for row in range(3))
+    # The factor's rows: (a), (b, c), (d, e, f).
+    a = jnp.sqrt(a)
+    b, d = b / a, d / a
+    c = jnp.sqrt(c - b * b)
+    e = (e - d * b) / c
+    f = jnp.sqrt(f - d * d - e * e)
+    zero = jnp.zeros_like(a)
+    columns = (1.0 / a, zero, zero), (-b / (a * c), 1.0 / c, zero), ((b * e - d * c) / (a * c * f), -e / (c * f), 1.0 / f)
+    return jnp.stack([jnp.stack(column, axis=-1) for column in columns], axis=-1)
+
+
+def _blockwise(blocks, x):
+    """Blocks (N, 3, 3) on the diagonal, times x (3N, R)."""
+    parts = x.reshape(-1, 3, x.shape[-1])
+    return sum(blocks[:, :, column, None] * parts[:, None, column] for column in range(3)).reshape(x.shape)
 
 
 @jax.custom_jvp
@@ -157,6 +273,11 @@ def _real_product(matrix):
     return times
 
 
+def _product(a, b):
+    """a @ b, both complex."""
+    return _real_product(a)(b)
+
+
 def _cocr(times, right, tolerance, steps):
     """COCR for every column of ``right`` at once: solution and steps taken."""
 
@@ -171,18 +292,17 @@ def _cocr(times, right, tolerance, steps):
         return (step < steps) & (_relative(residual, right) > tolerance)
 
     def step(state):
-        solution, residual, direction, turned, image, weight, number = state
-        # image = A direction, turned = A residual, weight = residual^T A residual
-        alpha = ratio(weight, dot(image, image))
-        solution = solution + alpha * direction
-        residual = residual - alpha * image
+        solution, residual, direction, image, weight, number = state
+        # image = A direction, weight = residual^T A residual of the step before
         turned = times(residual)
         following = dot(residual, turned)
         beta = ratio(following, weight)
-        return (solution, residual, residual + beta * direction, turned, turned + beta * image, following, number + 1)
+        direction, image = residual + beta * direction, turned + beta * image
+        alpha = ratio(following, dot(image, image))
+        return solution + alpha * direction, residual - alpha * image, direction, image, following, number + 1
 
-    image = times(right)
-    start = (jnp.zeros_like(right), right, right, image, image, dot(right, image), jnp.zeros((), jnp.int32))
+    nothing = jnp.zeros_like(right)
+    start = (nothing, right, nothing, nothing, nothing[0], jnp.zeros((), jnp.int32))
     final = jax.lax.while_loop(going, step, start)
     return final[0], final[-1]
 

@@ -50,16 +50,30 @@ def self_term(volumes: jax.Array, wavenumber: float | jax.Array) -> jax.Array:
 def interaction_matrix(cells: Cells, wavenumber: float | jax.Array) -> jax.Array:
     """K' (3N, 3N), complex symmetric: it knows the geometry, not the material."""
     count = cells.positions.shape[0]
-    centred = jnp.asarray(cells.positions) - jnp.mean(jnp.asarray(cells.positions), axis=0)
-    fill = cells.fractions()
-    weight = jnp.repeat(jnp.sqrt(fill * cells.volumes), 3)
-    identity = jnp.eye(3, dtype=centred.dtype)
-    own = (fill * self_term(jnp.asarray(cells.volumes), wavenumber))[:, None, None] * identity
-    own = own - (1.0 - fill)[:, None, None] * cells.tensors()
-    matrix = (wavenumber**2 * weight[:, None] * weight) * coupling_matrix(centred, wavenumber)
+    weight = jnp.repeat(jnp.sqrt(cells.fractions() * cells.volumes), 3)
+    matrix = (wavenumber**2 * weight[:, None] * weight) * coupling_matrix(centred(cells), wavenumber)
     blocks = matrix.reshape(count, 3, count, 3)
     place = jnp.arange(count)
-    return blocks.at[place, :, place, :].add(own).reshape(3 * count, 3 * count)
+    return blocks.at[place, :, place, :].add(own_blocks(cells, wavenumber)).reshape(3 * count, 3 * count)
+
+
+def centred(cells: Cells) -> jax.Array:
+    """Positions (N, 3) about their mean [m]: differences of small numbers keep their digits."""
+    positions = jnp.asarray(cells.positions)
+    return positions - jnp.mean(positions, axis=0)
+
+
+def coupling_weights(cells: Cells, wavenumber: float | jax.Array) -> jax.Array:
+    """w = k sqrt(f V) (3N, 1), of K'_ij = w_i w_j G(p_i, p_j)."""
+    return wavenumber * jnp.repeat(jnp.sqrt(cells.fractions() * cells.volumes), 3)[:, None]
+
+
+def own_blocks(cells: Cells, wavenumber: float | jax.Array) -> jax.Array:
+    """What cells do to themselves, f M0 I - (1 - f) n n^T: the diagonal blocks (N, 3, 3) of K'."""
+    fill = cells.fractions()
+    identity = jnp.eye(3, dtype=jnp.result_type(cells.positions))
+    own = (fill * self_term(jnp.asarray(cells.volumes), wavenumber))[:, None, None] * identity
+    return own - (1.0 - fill)[:, None, None] * cells.tensors()
 
 
 def weighted_fields(cells: Cells, fields: jax.Array) -> jax.Array:
