@@ -145,6 +145,7 @@ def factor_bodies(
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     workers = min(len(jobs), cores)
     if workers > 1:
+        import scipy.linalg  # noqa: F401  SciPy's own BLAS: only what is loaded is limited
         from threadpoolctl import threadpool_limits
 
         with threadpool_limits(cores // workers), ThreadPoolExecutor(workers) as pool:
