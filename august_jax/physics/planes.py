@@ -16,6 +16,7 @@ Vectors are (3, N, 2R) real: component by component, real parts of R columns bef
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import jax
@@ -24,7 +25,7 @@ import numpy as np
 from jax.custom_derivatives import SymbolicZero
 
 _ROWS = 128  # of a block
-_FOUR_PI = 4.0 * np.pi
+_FOUR_PI, _TURN = 4.0 * np.pi, 2.0 * np.pi
 
 
 class Planes(NamedTuple):
@@ -109,17 +110,17 @@ def _block(points, index, wavenumber):
 
 def _moved_block(points, index, wavenumber, moved):
     """The change of rows of the planes where the points of these rows move by (rows, 3), to which it is linear."""
-    (x, y, z), along, _, along_slope, alike_slope = _radial(points, index, wavenumber)
-    u, v, w = (moved[:, axis, None] for axis in range(3))
-    farther = x * u + y * v + z * w  # r dr
+    d, along, _, along_slope, alike_slope = _radial(points, index, wavenumber)
+    # As whole planes: backwards, their cotangents are then added up before they are summed over a row, once.
+    moved = [jnp.broadcast_to(moved[:, axis, None], d[axis].shape) for axis in range(3)]
+    farther = sum(part * change for part, change in zip(d, moved))  # r dr
     planes = []
     for a, steeper, b in zip(along, along_slope, alike_slope):
-        steeper, b = steeper * farther, b * farther
-        ax, ay, az = a * x, a * y, a * z
-        planes.append([
-            steeper * (x * x) + 2.0 * (ax * u) + b, steeper * (x * y) + ax * v + ay * u,
-            steeper * (x * z) + ax * w + az * u, steeper * (y * y) + 2.0 * (ay * v) + b,
-            steeper * (y * z) + ay * w + az * v, steeper * (z * z) + 2.0 * (az * w) + b])
+        b, half = b * farther, (0.5 * steeper) * farther
+        h = [a * change + half * part for part, change in zip(d, moved)]
+        # d(A d d^T + B I) = d h^T + h d^T + dB I
+        planes.append([2.0 * (d[0] * h[0]) + b, d[0] * h[1] + d[1] * h[0], d[0] * h[2] + d[2] * h[0],
+                       2.0 * (d[1] * h[1]) + b, d[1] * h[2] + d[2] * h[1], 2.0 * (d[2] * h[2]) + b])
     return Planes(*planes)
 
 
@@ -135,8 +136,9 @@ def _radial(points, index, wavenumber):
         square = x * x + y * y + z * z
         same = here[:, None] == jnp.arange(points.shape[0])
         inverse = jnp.where(same, 0.0, jax.lax.rsqrt(jnp.where(same, 1.0, square)))
-        kr, amplitude = wavenumber * square * inverse, inverse / _FOUR_PI
-        return amplitude * jnp.cos(kr), amplitude * jnp.sin(kr), inverse
+        cosine, sine = _cosine_and_sine((wavenumber / _TURN) * (square * inverse))
+        amplitude = inverse / _FOUR_PI
+        return amplitude * cosine, amplitude * sine, inverse
 
     # In a loop, because the compiler would otherwise fuse it into each plane and compute the sines for each again.
     cosine, sine, inverse = (
@@ -152,6 +154,21 @@ def _radial(points, index, wavenumber):
     along_slope = of_wave(rate * rate * (6.0 - 15.0 * xx), rate * (15.0 * rate * x - wavenumber * inverse))
     alike_slope = of_wave(rate * (3.0 * xx - 2.0), wavenumber * inverse - 3.0 * rate * x)
     return displacements(here), along, alike, along_slope, alike_slope
+
+
+def _cosine_and_sine(turns):
+    """cos and sin of 2 pi ``turns``: in single precision both from one half angle and by polynomials, which the
+    compiler vectorises; the library's are computed number by number."""
+    if turns.dtype != jnp.float32:
+        return jnp.cos(_TURN * turns), jnp.sin(_TURN * turns)
+    half = np.float32(np.pi) * (turns - jnp.round(turns))  # within pi/2: the Taylor series leave out 6e-9
+    square = half * half
+    cosine, sine = 0.0, 0.0
+    for order in range(6, -1, -1):
+        cosine = cosine * square + np.float32((-1) ** order / math.factorial(2 * order))
+        sine = sine * square + np.float32((-1) ** order / math.factorial(2 * order + 1))
+    sine = half * sine
+    return 1.0 - 2.0 * sine * sine, 2.0 * sine * cosine
 
 
 def _symmetric_product(planes, x):
