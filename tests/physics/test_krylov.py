@@ -8,7 +8,9 @@ from lattices import cross
 
 from august_jax.physics import PlanarArray, interaction_matrix, sensing_channel, sensing_channels
 from august_jax.physics.green import dipole_fields
-from august_jax.physics.krylov import TOLERANCE, solve_krylov, stationary_channel
+from august_jax.physics.krylov import (
+    TOLERANCE, _blockwise, _local_factor, moving_channel, solve_krylov, solve_moving, stationary_channel,
+)
 from august_jax.physics.mom import solve_dense, weighted_fields
 
 ARRAY = PlanarArray(6, 4, 3e9)
@@ -88,6 +90,51 @@ def test_gradients_equal_those_through_lu_and_differences():
 
         difference = (along(1e-6) - along(-1e-6)) / 2e-6
     np.testing.assert_allclose(np.sum(np.asarray(places) * way), difference, rtol=1e-3)
+
+
+@pytest.mark.parametrize(("away", "few"), [(-2.0, False), (20.0, True)])
+def test_planes_do_what_the_matrix_does(away, few):
+    """Solution, channel and its derivatives in all that a cell is; from afar only half of the columns are used."""
+    cells = CELLS._replace(positions=CELLS.positions + away * jnp.array([0.6, 0.64, 0.48]))
+    k, chi = ARRAY.wavenumber, jnp.asarray(MIXED, jnp.complex64)
+    fields = weighted_fields(cells, dipole_fields(cells.positions, jnp.asarray(ARRAY.positions, jnp.float32),
+                                                  jnp.array([0.0, 0.0, 1.0]), k))
+    slow = jax.jit(solve_krylov)(interaction_matrix(cells, k), chi, fields)
+    fast = jax.jit(solve_moving)(cells, k, chi, fields)
+    assert bool(jnp.all(fast.combinations[:, 8:] == 0)) == few
+    assert not fast.by_lu and jnp.linalg.norm(fast.fields - slow.fields) < 2 * TOLERANCE * jnp.linalg.norm(slow.fields)
+
+    def slopes(channel):
+        def loss(positions, volumes, fill, k):
+            value = channel(cells._replace(positions=positions, volumes=volumes, fill=fill), k)
+            return jnp.sum(WEIGHTS[0] * value.real + WEIGHTS[1] * value.imag)
+
+        return jax.jit(jax.value_and_grad(loss, (0, 1, 2, 3)))(cells.positions, cells.volumes, cells.fractions(), k)
+
+    found = slopes(lambda cells, k: moving_channel(cells, k, chi, fields, slow))
+    expected = slopes(lambda cells, k: stationary_channel(interaction_matrix(cells, k), chi, fields, slow))
+    for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(expected)):
+        assert 0 < jnp.linalg.norm(a - b) + jnp.linalg.norm(b) and jnp.linalg.norm(a - b) < 2e-5 * jnp.linalg.norm(b)
+
+
+def test_forward_mode_agrees_with_reverse():
+    way = jnp.asarray(np.random.default_rng(3).normal(size=CELLS.positions.shape), jnp.float32)
+    _, forwards = jax.jvp(lambda positions: loss(positions, 3.0, "krylov"), (CELLS.positions,), (way,))
+    backwards = jnp.sum(gradient(CELLS.positions, 3.0, "krylov")[1][0] * way)
+    np.testing.assert_allclose(forwards, backwards, rtol=1e-4)
+
+
+def test_the_local_factor_undoes_what_a_cell_does_to_itself():
+    random = np.random.default_rng(4)
+    own = random.normal(size=(2, 5, 3, 3)) / 5
+    own = jnp.asarray(own[0] + 1j * own[1])
+    own = own + own.transpose(0, 2, 1)
+    chi = jnp.asarray([0.0, 1.0, 3.0, 5.0 + 2j, 50j])
+    factor = np.asarray(_local_factor(chi, own))
+    np.testing.assert_allclose((np.eye(3) - chi[:, None, None] * own) @ factor @ factor.transpose(0, 2, 1),
+                               np.tile(np.eye(3), (5, 1, 1)), atol=2e-5)
+    x = random.normal(size=(15, 2)) + 0j
+    np.testing.assert_allclose(_blockwise(own, jnp.asarray(x)).reshape(5, 3, 2), own @ x.reshape(5, 3, 2), atol=1e-6)
 
 
 def test_the_gradient_sees_the_coupling():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from august_jax.physics import coupling_matrix, wavenumber
-from august_jax.physics.planes import coupled_fields, coupling_change, coupling_planes
+from august_jax.physics.planes import _cosine_and_sine, coupled_fields, coupling_change, coupling_planes
 
 K = wavenumber(3e9)
 
@@ -64,3 +64,10 @@ def test_the_change_is_the_derivative_of_the_quadratic_form(count):
         close(gradient(both)[1], expected[1], 1e-12)
         close(jax.jvp(batched, (both,), (jnp.stack([moved, moved]),))[1][1],
               jax.jvp(lambda points: plain(points, K, vectors), (points,), (moved,))[1], 1e-12)
+
+
+def test_cosines_and_sines_of_turns():
+    turns = np.linspace(-20.0, 20.0, 40_001).astype(np.float32)
+    cosine, sine = _cosine_and_sine(jnp.asarray(turns))
+    np.testing.assert_allclose(cosine, np.cos(2 * np.pi * turns.astype(float)), atol=1e-6)
+    np.testing.assert_allclose(sine, np.sin(2 * np.pi * turns.astype(float)), atol=1e-6)

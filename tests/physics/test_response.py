@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 from lattices import cross, turned
 
-from august_jax.physics import PlanarArray, alike, body_channel, contrast, factor_body, sensing_channel
+from august_jax.physics import (
+    AntennaArray, PlanarArray, alike, body_channel, contrast, factor_body, sensing_channel,
+)
 from august_jax.physics.response import cache_folder
 
 ARRAY = PlanarArray(8, 4, 3e9)
@@ -46,6 +48,24 @@ def test_fields_at_centroids_equal_the_coupled_solve_too():
         slow = np.asarray(sensing_channel(ARRAY, cells.moved(*place), 2.0))
     assert np.linalg.norm(fast - slow) < 1e-4 * np.linalg.norm(slow)
     assert np.linalg.norm(fast - exact(rotation, translation, 2.0)) > 0.01 * np.linalg.norm(slow)
+
+
+def test_the_error_that_a_body_states_is_the_one_it_has(monkeypatch):
+    """Of a basis that is made much too small, so that nothing else errs as much."""
+    from august_jax.physics import response
+
+    monkeypatch.setattr(response, "_BASIS_TOLERANCES", (0.2,))
+    body = factor_body(CELLS, 3e9, cache=False)
+    direction, moment = np.random.default_rng(1).normal(size=(2, 48, 3))
+    moment /= np.linalg.norm(moment, axis=1, keepdims=True)
+    places = 2.1 * direction / np.linalg.norm(direction, axis=1, keepdims=True)
+    antennas = AntennaArray(places, moment, 3e9)
+    fast = np.asarray(body_channel(body, antennas, np.eye(3), np.zeros(3), response._CHECK))
+    with jax.enable_x64(True):
+        slow = np.asarray(sensing_channel(antennas, CELLS, response._CHECK, frequencies_hz=(3e9,)))[0]
+    error = np.linalg.norm(fast - slow) / np.linalg.norm(slow)
+    assert error > 1e-4
+    assert 0.5 < error / body.error < 2.0, (error, body.error)
 
 
 def test_symmetric_bodies_have_equal_eigenvalues_and_stay_exact():
