@@ -118,7 +118,8 @@ def dipole_fields(
     # Halfway between extremes, which any order of evaluation gives alike: a mean that the compiler computes twice, for
     # the points and for the long way, may differ by 1e-6 m. Either end moves through what is taken about its middle.
     middle, centre = (
-        jax.lax.stop_gradient(0.5 * (jnp.min(places, axis=0) + jnp.max(places, axis=0))) for places in (points, sources))
+        jax.lax.stop_gradient(0.5 * (jnp.min(places, axis=0) + jnp.max(places, axis=0)))
+        for places in (points, sources))
     fields = dipole_fields_about(points - middle, middle - centre, sources - centre, moments, wavenumber)
     return fields.transpose(0, 2, 1).reshape(3 * points.shape[0], sources.shape[0])
 

@@ -238,7 +238,8 @@ def _local_factor(contrast, own):
     e = (e - d * b) / c
     f = jnp.sqrt(f - d * d - e * e)
     zero = jnp.zeros_like(a)
-    columns = (1.0 / a, zero, zero), (-b / (a * c), 1.0 / c, zero), ((b * e - d * c) / (a * c * f), -e / (c * f), 1.0 / f)
+    columns = [(1.0 / a, zero, zero), (-b / (a * c), 1.0 / c, zero),
+               ((b * e - d * c) / (a * c * f), -e / (c * f), 1.0 / f)]
     return jnp.stack([jnp.stack(column, axis=-1) for column in columns], axis=-1)
 
 

@@ -67,6 +67,7 @@ def _coupling_change_tangent(primals, tangents):
     points, wavenumber, sources = primals
     moved, tuned, _ = (None if isinstance(t, SymbolicZero) else t for t in tangents)
     vectors, count = _planar(sources), points.shape[0]
+    nothing = coupling_change(points, wavenumber, sources)
 
     def of_block(index):
         inside = jnp.minimum(index, count - 1)
@@ -75,17 +76,17 @@ def _coupling_change_tangent(primals, tangents):
         def form(planes):
             return mine.T @ _from_planar(planes_product(planes, vectors))
 
-        change = 0.0
+        change = nothing
         if moved is not None:
             one_end = form(_moved_block(points, index, wavenumber, moved[inside]))
-            change = one_end + one_end.T  # to move the other end of each pair gives the transpose
+            change = change + one_end + one_end.T  # to move the other end of each pair gives the transpose
         if tuned is not None:
             change = change + form(jax.jvp(lambda k: _block(points, index, k), (wavenumber,), (tuned,))[1])
         return change
 
     # Computed again for the backward pass: kept, the derivatives of G would take more memory than G.
     of_block = jax.checkpoint(of_block, prevent_cse=False)
-    return jnp.zeros((sources.shape[-1],) * 2, sources.dtype), jax.lax.map(of_block, _row_blocks(count)).sum(axis=0)
+    return nothing, jax.lax.map(of_block, _row_blocks(count)).sum(axis=0)
 
 
 coupling_change.defjvp(_coupling_change_tangent, symbolic_zeros=True)
