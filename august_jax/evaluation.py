@@ -67,9 +67,9 @@ def evaluate(networks: Networks, config: Config, *, seed: int,
 
     Returns:
         For each SNR and scheme a row ``scheme``, ``snr_db``, ``mpe_m`` [m], ``mde``, ``wd_db``, ``mcd_db`` [dB re
-        1 m^2], ``along_m`` and ``across_m`` (the position's root-mean-square error along the line of sight and across it)
-        [m], ``count``, ``bound_m`` [m] and ``bound_mde``; None where a scheme does not define a metric or the bound is
-        not known.
+        1 m^2], ``along_m`` and ``across_m`` (the position's root-mean-square error along the line of sight and across
+        it) [m], ``count``, ``bound_m`` [m] and ``bound_mde``; None where a scheme does not define a metric or the bound
+        is not known.
     """
     count, slots = config.evaluate.count, config.flight.slots
     fresh = replace(config, data=replace(config.data, seed=_FRESH + seed))

@@ -4,9 +4,9 @@
     python experiments/convergence.py draw                  reads it, writes experiments/results/convergence.png
 
 The same craft, attitudes, place and materials; only the cells shrink. Cells hear the antennas at their material's
-centroids and couple on the way there (what `Airframe.cells` gives), or do both at the lattice's centres. Each channel is
-compared with that of the finest lattice of the first kind: as it is, and after one complex factor (a gain, which no
-estimator knows) has been taken out.
+centroids and couple on the way there (what `Airframe.cells` gives), or do both at the lattice's centres. Each channel
+is compared with that of the finest lattice of the first kind: as it is, and after one complex factor (a gain, which
+no estimator knows) has been taken out.
 """
 
 from __future__ import annotations

@@ -39,9 +39,7 @@ from august_jax.models.denoiser import Denoiser
 from august_jax.models.diffusion import Schedule, add_noise, ancestral, dpm, draw_steps
 from august_jax.models.encoder import Encoder
 from august_jax.models.flow import RealNVP
-from august_jax.models.frame import (
-    READINGS, facing, facing_back, into_craft, moments, out_of_craft, straightened,
-)
+from august_jax.models.frame import READINGS, facing, facing_back, into_craft, moments, out_of_craft, straightened
 from august_jax.models.layers import MLP, dense
 from august_jax.models.refchannel import RefChannel
 from august_jax.models.signature import NUMBERS, Signature, shaken

@@ -7,11 +7,11 @@ draws points about that place, in level axes, in units of the half-wheelbase:
 
     p' = Z(a)^T R(n)^T (B^T p - m) s/h,
 
-B the rotation about z that turns e_x into the horizontal direction in which the base station sees the region, m the mean
-of the points B^T p, n the normal of their flattest plane, R(n) the smallest rotation of e_z to n, Z(a) the rotation by
-the :func:`heading` a about z, s the region's scale and h the half-wheelbase. An echo tells headings relative to the line of sight, and a craft seen from its side looks the
-same wherever it flies: with B this need not be learned. Material numbers stay as they are. The frame ``region`` is the
-paper's: p' = p.
+B the rotation about z that turns e_x into the horizontal direction in which the base station sees the region, m the
+mean of the points B^T p, n the normal of their flattest plane, R(n) the smallest rotation of e_z to n, Z(a) the
+rotation by the :func:`heading` a about z, s the region's scale and h the half-wheelbase. An echo tells headings
+relative to the line of sight, and a craft seen from its side looks the same wherever it flies: with B this need not be
+learned. Material numbers stay as they are. The frame ``region`` is the paper's: p' = p.
 """
 
 from __future__ import annotations
@@ -21,8 +21,9 @@ import jax.numpy as jnp
 import numpy as np
 
 _PAIRS = np.triu_indices(3)
-_HARMONICS = 8
-READINGS = 14 + 2 * _HARMONICS
+HARMONICS = 8
+"""Orders n of the harmonics c_1..c_n that :func:`moments` takes."""
+READINGS = 14 + 2 * HARMONICS
 """Length of :func:`moments`."""
 
 
@@ -46,7 +47,7 @@ def moments(cloud: jax.Array) -> jax.Array:
     turn = jax.lax.complex(level[..., 0], level[..., 1]) / jnp.sqrt(jnp.maximum(squared, 1e-12))
     spread = jnp.maximum(jnp.sum(squared, axis=-1), 1e-12)
     powers, harmonics = turn, []
-    for _ in range(_HARMONICS):
+    for _ in range(HARMONICS):
         harmonics.append(0.5 * jnp.sum(squared * powers, axis=-1) / spread)
         powers = powers * turn
     stacked = jnp.stack(harmonics, axis=-1)
@@ -97,19 +98,19 @@ def heading(harmonics: jax.Array) -> jax.Array:
 
 def straightened(harmonics: jax.Array) -> jax.Array:
     """Harmonics (..., 16) of the cloud after it is turned back by its :func:`heading`."""
-    turn = jnp.exp(-1j * heading(harmonics)[..., None] * jnp.arange(1, _HARMONICS + 1))
+    turn = jnp.exp(-1j * heading(harmonics)[..., None] * jnp.arange(1, HARMONICS + 1))
     values = _complex(harmonics) * turn
     return jnp.concatenate([values.real, values.imag], axis=-1)
 
 
 def _complex(harmonics):
-    return jax.lax.complex(harmonics[..., :_HARMONICS], harmonics[..., _HARMONICS:])
+    return jax.lax.complex(harmonics[..., :HARMONICS], harmonics[..., HARMONICS:])
 
 
 def _axes(reading):
     """Place m and axes R(n) Z(a) of a reading."""
     place, rotation = pose(reading)
-    angle = heading(reading[..., 14:])
+    angle = heading(reading[..., -2 * HARMONICS :])
     cosine, sine = jnp.cos(angle)[..., None], jnp.sin(angle)[..., None]
     x, y = rotation[..., 0], rotation[..., 1]
     return place, jnp.stack([cosine * x + sine * y, cosine * y - sine * x, rotation[..., 2]], axis=-1)

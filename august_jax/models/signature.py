@@ -18,8 +18,9 @@ from flax import nnx
 
 from august_jax.models.denoiser import Denoiser
 from august_jax.models.diffusion import Schedule, add_noise, draw_steps
+from august_jax.models.frame import HARMONICS
 
-NUMBERS = 16
+NUMBERS = 2 * HARMONICS
 """Real and imaginary parts of c_1..c_8."""
 _WIDTHS = (256, 256, 256)
 _SCALE = 4.0  # brings the harmonics of arms, some 0.3, to the size of the noise
@@ -42,7 +43,7 @@ class Signature(nnx.Module):
         return jnp.mean((noise - found) ** 2)
 
     def draw(self, key: jax.Array, condition: jax.Array, sample) -> jax.Array:
-        """Harmonics (B, 16) for conditions (B, C); ``sample`` is (key, denoise, shape) -> draws, one of the samplers."""
+        """Harmonics (B, 16) for conditions (B, C); ``sample`` is one of the samplers, (key, denoise, shape) -> draws."""
         shape = (len(condition), 1, NUMBERS)
         return sample(key, lambda points, step: self.denoiser(points, step, condition), shape)[:, 0] / _SCALE
 

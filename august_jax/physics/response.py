@@ -47,7 +47,7 @@ from august_jax.physics.array import AntennaArray, PlanarArray, wavenumber
 from august_jax.physics.cells import Cells
 from august_jax.physics.checks import check_cells, is_concrete
 from august_jax.physics.green import dipole_fields_about, dyadic_green
-from august_jax.physics.mom import self_term
+from august_jax.physics.mom import own_blocks
 
 NODES = (0.5, 2.0, 5.0)
 """Contrasts whose solutions span Q: permittivities from 1 to 7; farther out the error grows to 1e-3."""
@@ -409,8 +409,7 @@ def _factor(cells: Cells, frequency_hz: float, nearest_m: float) -> dict[str, np
 def _interaction_parts(cells, k, slab=128):
     """Re K' and Im K' of :mod:`august_jax.physics.mom` (2, 3N, 3N): float32, made in float64 a few cells at a time."""
     count = cells.count
-    fill = np.broadcast_to(cells.fill, cells.volumes.shape)
-    weight = k * np.sqrt(fill * cells.volumes)
+    weight = k * np.sqrt(np.broadcast_to(cells.fill, cells.volumes.shape) * cells.volumes)
     parts = np.empty((2, 3 * count, 3 * count), np.float32)
     with jax.enable_x64(True):
         for start in range(0, count, slab):
@@ -418,8 +417,7 @@ def _interaction_parts(cells, k, slab=128):
             here = slice(start, start + slab)
             parts[:, 3 * start : 3 * (start + slab)] = _slab(
                 cells.positions[here], cells.positions, weight[here], weight, k)
-        own = (fill * np.asarray(self_term(jnp.asarray(cells.volumes), k)))[:, None, None] * np.eye(3)
-        own = own - (1.0 - fill)[:, None, None] * np.asarray(cells.tensors())
+        own = np.asarray(own_blocks(cells, k))
     place = np.arange(count)
     for part, diagonal in zip(parts, (own.real, own.imag), strict=True):
         part.reshape(count, 3, count, 3)[place, :, place, :] = diagonal

@@ -5,8 +5,9 @@ distance to the nearest facet enters, so faces given twice, plates of no thickne
 through one another need no repair: their material is the union, and nothing counts double.
 
 The lattice is cubic with one cell centred at the origin. Each cell is divided into sub-cells of edge h, about 3/4
-of the skin thickness t, or a twelfth of the cell where that is longer. A sub-cell at distance r from its nearest facet, with normal n, holds the part of its volume
-that lies in the slab |n . x| < t/2 of that facet, F(t/2 - r) - F(-t/2 - r), where
+of the skin thickness t, or a twelfth of the cell where that is longer. A sub-cell at distance r from its nearest
+facet, with normal n, holds the part of its volume that lies in the slab |n . x| < t/2 of that facet,
+F(t/2 - r) - F(-t/2 - r), where
 
     F(x) = sum over s in {-1, 1}^3 of s1 s2 s3 max(0, x + h s.n / 2)^3 / (6 h^3 |n1 n2 n3|)
 
@@ -73,8 +74,7 @@ def shell_cells(triangles: np.ndarray, cell_m: float, skin_m: float) -> Cells:
 
     # the nearest sample names the facet; the distance itself is taken to the whole facet
     reach = 0.5 * skin_m + 0.87 * step
-    _, sample = cKDTree(samples, balanced_tree=False).query(
-        centres, distance_upper_bound=reach + step, workers=-1)
+    _, sample = cKDTree(samples, balanced_tree=False).query(centres, distance_upper_bound=reach + step, workers=-1)
     found = sample < len(samples)
     index, centres, facet = index[found], centres[found], owner[sample[found]]
     distance = distance_to_triangles(centres, triangles[facet])

@@ -139,7 +139,8 @@ def warm_start(networks: Networks, state: TrainState, path: str | os.PathLike) -
     stored, own = read_weights(path), flatten(networks.arrays(np.asarray(state.params)))
     kept = [name for name, leaf in own.items() if name not in stored or stored[name].shape != leaf.shape]
     if len(kept) == len(own):
-        raise ValueError(f"path: no parameter in {path} fits these networks; give a run of a like model.* configuration")
+        raise ValueError(f"path: no parameter in {path} fits these networks; give a run of a like model.* "
+                         "configuration")
     params = jnp.asarray(np.concatenate([
         np.ravel(leaf if name in kept else stored[name]).astype(np.float32) for name, leaf in own.items()]))
     return state._replace(params=params, ema=jnp.copy(params)), kept

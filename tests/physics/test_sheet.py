@@ -1,10 +1,10 @@
 """Thin sheets: partly filled 10 mm cells against the same 2 mm sheet in cells that resolve it, at three tilts.
 
-A plane wave meets a 60 mm sheet of 2 mm thickness; its far field over all directions is compared. The coarse lattice is
-tilted against the sheet, so that one resolved solution serves all. That solution is extrapolated to cells of no size from
-one layer of 2 mm cells and two of 1 mm, whose error falls as the size does: a single layer alone is off by 4 to 6 %
-(permittivity 3) and 5 to 12 % (5), the extrapolation by less than 1 % (against six layers, run once). Measured over the
-three tilts: 3 to 5 % and 4 to 7 %, under a field along the sheet and across it.
+A plane wave meets a 60 mm sheet of 2 mm thickness; its far field over all directions is compared. The coarse lattice
+is tilted against the sheet, so that one resolved solution serves all. That solution is extrapolated to cells of no
+size from one layer of 2 mm cells and two of 1 mm, whose error falls as the size does: a single layer alone is off by
+4 to 6 % (permittivity 3) and 5 to 12 % (5), the extrapolation by less than 1 % (against six layers, run once).
+Measured over the three tilts: 3 to 5 % and 4 to 7 %, under a field along the sheet and across it.
 """
 
 import jax
