@@ -409,24 +409,26 @@ def _simulate(args: argparse.Namespace) -> dict[str, Any]:
 
 def _train_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--data", metavar="DIR", help="what august simulate wrote (default: august_data/PRESET)")
-    parser.add_argument("--init", metavar="RUN", help="start from another run's weights, where names and shapes agree")
+    parser.add_argument("--init", metavar="RUN", help="start from another run's weights, or from the shipped ones (--init shipped)")
 
 
 def _train(args: argparse.Namespace) -> dict[str, Any]:
     asked = _config(args)
     folder = Path(args.data or f"august_data/{asked.preset}")
+    from august_jax import pipeline
     from august_jax.data import Dataset, TrainingBatches
     from august_jax.evaluation import validator
     from august_jax.plotting import training_curves
     from august_jax.training.loop import train
 
+    weights = pipeline.run_files(None if args.init == "shipped" else args.init)[1] if args.init else None
     dataset = Dataset(folder)
     config = _training_config(args, dataset.config, folder)
     batches = TrainingBatches(dataset, config)
     out = Path(args.out or f"august_runs/{config.preset}")
     _note(f"{len(dataset.rows('train'))} of {dataset.count} samples are for training, {config.train.steps} steps")
     state = train(config, batches, out, validate=validator(dataset, config), draw=training_curves,
-                  weights=Path(args.init) / "weights.npz" if args.init else None, printer=_note)
+                  weights=weights, printer=_note)
     last = json.loads((out / "metrics.jsonl").read_text().splitlines()[-1])
     _say(args, f"trained to step {int(state.step)}: " + "  ".join(f"{name} {value:.4g}" for name, value in last.items()
                                                                   if name not in ("step", "seconds_left")))

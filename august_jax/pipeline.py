@@ -110,6 +110,20 @@ class Track:
         return {name: np.asarray(value) for name, value in asdict(self).items()}
 
 
+def run_files(run: str | Path | None = None) -> tuple[Path, Path]:
+    """Where the configuration and the weights of a training run are, or the shipped ones.
+
+    Raises:
+        ValueError: one of them is not in ``run``.
+    """
+    folder = SHIPPED if run is None else Path(run)
+    files = folder / "config.yaml", folder / "weights.npz"
+    for path in files:
+        if not path.is_file():
+            raise ValueError(f"{path}: no such file; give a run that august train wrote, or use the shipped weights")
+    return files
+
+
 def load_networks(run: str | Path | None = None) -> Networks:
     """The networks of a training run, or the shipped ones.
 
@@ -118,14 +132,9 @@ def load_networks(run: str | Path | None = None) -> Networks:
     """
     from august_jax.training.checkpoint import load_weights
 
-    folder = SHIPPED if run is None else Path(run)
-    files = folder / "config.yaml", folder / "weights.npz"
-    for path in files:
-        if not path.is_file():
-            raise ValueError(f"{path}: no such file; give a run that august train wrote, or none for the shipped "
-                             "weights")
-    config = configuration.from_yaml(files[0].read_text(encoding="utf-8"))
-    graphdef, state = load_weights(files[1], config)
+    settings, weights = run_files(run)
+    config = configuration.from_yaml(settings.read_text(encoding="utf-8"))
+    graphdef, state = load_weights(weights, config)
     return Networks("shipped laptop weights" if run is None else str(run), config, graphdef, state)
 
 

@@ -56,9 +56,11 @@ def train(config: Config, next_batch: NextBatch, out_dir: str | os.PathLike, *, 
         FloatingPointError: the loss is not finite; names the step and the terms.
     """
     train = config.train
+    networks, state = initial_state(config)
+    if weights is not None:  # before anything is written: it may not fit
+        state, kept = warm_start(networks, state, weights)
     out = Path(out_dir)
     out.mkdir(parents=True, exist_ok=True)
-    networks, state = initial_state(config)
     with Checkpoints(out / "checkpoints") as checkpoints, ThreadPoolExecutor(1) as pool:
         start = 0
         if resume and checkpoints.latest is not None:
@@ -67,7 +69,6 @@ def train(config: Config, next_batch: NextBatch, out_dir: str | os.PathLike, *, 
             start = int(state.step)
             printer(f"continuing from step {start} of {train.steps}")
         elif weights is not None:
-            state, kept = warm_start(networks, state, weights)
             printer(f"starting from {weights}" + (f", but for {len(kept)} arrays that it lacks, such as {kept[0]}"
                                                   if kept else ""))
         (out / "config.yaml").write_text(configuration.to_yaml(config), encoding="utf-8")

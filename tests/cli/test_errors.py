@@ -25,6 +25,7 @@ CASES = {
     "no such run": ("evaluate {tmp}/nowhere", ["{tmp}/nowhere", "august train"]),
     "no such run for demo": ("demo --run {tmp}/nowhere", ["{tmp}/nowhere", "august train"]),
     "no such data": ("train --preset smoke --data {tmp}/nowhere", ["{tmp}/nowhere", "august simulate"]),
+    "no such weights to start from": ("train --preset smoke --init {tmp}/nowhere", ["{tmp}/nowhere", "august train"]),
     "no such source": ("export {tmp}/nowhere --format ply", ["{tmp}/nowhere", "august demo"]),
     "unknown format": ("export {tmp} --format docx", ["--format", "'docx'", "ply, npz, mat, json"]),
 }

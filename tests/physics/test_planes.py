@@ -33,8 +33,8 @@ def test_products_equal_those_of_the_matrix(count):
     for double, tolerance in ((True, 1e-13), (False, 3e-6)):
         with jax.enable_x64(double):
             points, vectors = setting(count)
-            expected = coupling_matrix(points, K) @ vectors
-            found = coupled_fields(coupling_planes(points, K), vectors)
+            expected = jax.jit(lambda x, v: coupling_matrix(x, K) @ v)(points, vectors)
+            found = jax.jit(lambda x, v: coupled_fields(coupling_planes(x, K), v))(points, vectors)
             assert jnp.linalg.norm(found - expected) <= tolerance * jnp.linalg.norm(expected)
 
 
@@ -51,8 +51,9 @@ def test_the_change_is_the_derivative_of_the_quadratic_form(count):
                 value = form(points, k, vectors)
                 return jnp.sum(weights[0] * value.real + weights[1] * value.imag)
 
-            forwards = jax.jvp(lambda points, k: form(points, k, vectors), (points, K), (moved, 0.3))[1]
-            return forwards, *jax.grad(loss, (0, 1))(points, K)
+            forwards = jax.jit(lambda points, k: jax.jvp(
+                lambda points, k: form(points, k, vectors), (points, k), (moved, 0.3))[1])
+            return forwards(points, K), *jax.jit(jax.grad(loss, (0, 1)))(points, K)
 
         expected = derivatives(plain)
         for found, wanted in zip(derivatives(coupling_change), expected):
@@ -61,9 +62,10 @@ def test_the_change_is_the_derivative_of_the_quadratic_form(count):
         batched = jax.vmap(lambda points: coupling_change(points, K, vectors))
         assert not jnp.any(batched(both))
         gradient = jax.grad(lambda both: jnp.sum(weights[0] * batched(both).real + weights[1] * batched(both).imag))
-        close(gradient(both)[1], expected[1], 1e-12)
-        close(jax.jvp(batched, (both,), (jnp.stack([moved, moved]),))[1][1],
-              jax.jvp(lambda points: plain(points, K, vectors), (points,), (moved,))[1], 1e-12)
+        close(jax.jit(gradient)(both)[1], expected[1], 1e-12)
+        close(jax.jit(lambda both: jax.jvp(batched, (both,), (jnp.stack([moved, moved]),))[1])(both)[1],
+              jax.jit(lambda points: jax.jvp(lambda points: plain(points, K, vectors), (points,), (moved,))[1])(points),
+              1e-12)
 
 
 def test_cosines_and_sines_of_turns():
