@@ -86,11 +86,11 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _message(error: Exception) -> str:
     """At most six lines for any error: those meant for the user as they are, others with their kind."""
     text = str(error).strip()
-    if isinstance(error, OSError) and error.filename:
-        text = f"{error.filename}: {error.strerror}"
+    if isinstance(error, OSError):
+        text = f"{error.filename or 'disk'}: {error.strerror or text}; make room there, or choose another --out"
     elif isinstance(error, ImportError):
         text = f"{text}; install again: pip install -c constraints.txt ."
-    elif not isinstance(error, (ValueError, OSError, FloatingPointError, _UsageError)):
+    elif not isinstance(error, (ValueError, FloatingPointError, _UsageError)):
         text = f"unexpected {type(error).__name__}: {text}\nadd --debug to see where"
     lines = [part for line in f"august: {text or type(error).__name__}".splitlines() if line.strip()
              for part in textwrap.wrap(line, 160, break_long_words=False, subsequent_indent="  ")]
@@ -122,11 +122,14 @@ def _parse(argv: list[str]) -> argparse.Namespace | None:
     command = _COMMANDS[name]
     parser = _Parser(prog=f"august {name}", description=command.summary, allow_abbrev=False)
     command.arguments(parser)
-    parser.add_argument("--preset", metavar="NAME", help=f"one of {', '.join(configuration.PRESETS)}")
+    configured = parser.get_default("configured") is not False
+    if configured:
+        parser.add_argument("--preset", metavar="NAME", help=f"one of {', '.join(configuration.PRESETS)}")
     parser.add_argument("--out", metavar="DIR", help="where to write")
     parser.add_argument("--json", action="store_true", help="the result as JSON on stdout")
     parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
-    parser.add_argument("rest", nargs="*", metavar="section.field=value", help="overrides of the configuration")
+    parser.add_argument("rest", nargs="*", metavar="section.field=value", 
+                        help="overrides of the configuration" if configured else argparse.SUPPRESS)
     try:
         args = parser.parse_intermixed_args(_join_signed(argv[1:]))
     except SystemExit:
@@ -134,6 +137,9 @@ def _parse(argv: list[str]) -> argparse.Namespace | None:
     args.command = name
     args.overrides = [text for text in args.rest if _ASSIGNMENT.match(text)]
     args.rest = [text for text in args.rest if not _ASSIGNMENT.match(text)]
+    if args.overrides and not configured:
+        raise _UsageError(f"{args.overrides[0]!r}: august {name} has no configuration to override\n"
+                          f"see: august {name} --help")
     wanted = getattr(args, "places", 0)
     if len(args.rest) > wanted:
         raise _UsageError(f"{args.rest[wanted]!r}: unexpected argument; overrides are of the form section.field=value\n"
@@ -150,6 +156,16 @@ def _join_signed(argv: list[str]) -> list[str]:
         else:
             joined.append(text)
     return joined
+
+
+def _folder(args: argparse.Namespace, default: str) -> Path:
+    """Where the command writes; refused before the work where nothing can be written there."""
+    out = Path(args.out or default)
+    parent = next(path for path in (out, *out.absolute().parents) if path.exists())
+    if not parent.is_dir() or not os.access(parent, os.W_OK):
+        raise ConfigError(f"--out: nothing can be written to {out}, because {parent} is "
+                          f"{'read-only' if parent.is_dir() else 'a file'}; choose another folder")
+    return out
 
 
 def _say(args: argparse.Namespace, text: str) -> None:
@@ -254,7 +270,7 @@ def _scheme_table(rows: Sequence[dict[str, Any]], snr: bool) -> str:
 
 
 def _doctor_arguments(parser: argparse.ArgumentParser) -> None:
-    pass
+    parser.set_defaults(configured=False)
 
 
 def _doctor(args: argparse.Namespace) -> dict[str, Any]:
@@ -286,6 +302,7 @@ def _demo(args: argparse.Namespace) -> dict[str, Any]:
     from august_jax import pipeline
 
     started = time.monotonic()
+    _folder(args, "august_demo")
     networks, config = _weights(args, args.run)
     shot = pipeline.draw_flight(config, args.seed, args.slots, args.airframe)
     _note(f"{shot.airframe.name} flies {args.slots} slots, permittivity {shot.permittivity:.2f}, "
@@ -333,9 +350,14 @@ def _reconstruct(args: argparse.Namespace) -> dict[str, Any]:
     ])
 
 
+def _sampler_steps(config: Config) -> int:
+    return config.evaluate.sampler_steps if config.evaluate.sampler == "dpm" else config.model.steps
+
+
 def _sense(args, command: str, networks, config: Config, shot, started: float, following) -> dict[str, Any]:
     from august_jax import evaluation, pipeline, plotting, report
-    from august_jax.export import write_ply, write_record, write_text
+    from august_jax.export import write_ply, write_record
+    from august_jax.files import write_text
 
     track = pipeline.sense(networks, config, shot, seed=args.seed, snr_db=args.snr, progress=_note)
     scores = evaluation.score_track(track, config)
@@ -347,7 +369,7 @@ def _sense(args, command: str, networks, config: Config, shot, started: float, f
         f"{100 * mean['august']['mpe_m']:.1f} cm from where it is{' on average' if slots > 1 else ''}; "
         f"the prediction it starts from is {100 * mean['prior']['mpe_m']:.1f} cm off."
     )
-    out = Path(args.out or f"august_{command}")
+    out = _folder(args, f"august_{command}")
     title = f"{shot.airframe.name} at {args.snr:g} dB, seen by {config.array.count} antennas"
     setup = [
         ("weights", networks.name),
@@ -356,8 +378,8 @@ def _sense(args, command: str, networks, config: Config, shot, started: float, f
         ("drone", f"{shot.airframe.name}, half-wheelbase {shot.airframe.half_wheelbase_m:.3f} m"),
         ("material", f"permittivity {track.permittivity:.2f}, conductivity {1e3 * track.conductivity:.2f} mS/m"),
         ("channel", f"full-wave ({config.data.solver}), {config.signal.estimator} estimate"),
-        ("sampler", f"{config.evaluate.sampler}, {config.evaluate.sampler_steps} steps, {config.target.points} points"),
-        ("first prediction", f"uniform within {config.region.threshold_m:g} m along each axis"),
+        ("sampler", f"{config.evaluate.sampler}, {_sampler_steps(config)} steps, {config.target.points} points"),
+        ("first predictions", f"uniform within {config.region.threshold_m:g} m along each axis, as of a detection"),
         ("seed", str(args.seed)),
         ("computed in", f"{seconds:.0f} s"),
     ]
@@ -390,7 +412,7 @@ def _simulate_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _simulate(args: argparse.Namespace) -> dict[str, Any]:
     config = _config(args)
-    out = Path(args.out or f"august_data/{config.preset}")
+    out = _folder(args, f"august_data/{config.preset}")
     from august_jax.data import simulate
 
     manifest = simulate(config, out, part=args.shard, report=_note)
@@ -409,12 +431,16 @@ def _simulate(args: argparse.Namespace) -> dict[str, Any]:
 
 def _train_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--data", metavar="DIR", help="what august simulate wrote (default: august_data/PRESET)")
-    parser.add_argument("--init", metavar="RUN", help="start from another run's weights, or from the shipped ones (--init shipped)")
+    parser.add_argument("--init", metavar="RUN",
+                        help="start from another run's weights, or from the shipped ones (--init shipped)")
 
 
 def _train(args: argparse.Namespace) -> dict[str, Any]:
-    asked = _config(args)
-    folder = Path(args.data or f"august_data/{asked.preset}")
+    folder = Path(args.data or f"august_data/{args.preset or 'laptop'}")
+    if not (folder / "manifest.json").exists():
+        wanted = _config(args).preset  # other mistakes are told first
+        raise ConfigError(f"--data: {folder} holds no data (no manifest.json)\n"
+                          f"make them: august simulate --preset {wanted} --out {folder}")
     from august_jax import pipeline
     from august_jax.data import Dataset, TrainingBatches
     from august_jax.evaluation import validator
@@ -425,7 +451,7 @@ def _train(args: argparse.Namespace) -> dict[str, Any]:
     dataset = Dataset(folder)
     config = _training_config(args, dataset.config, folder)
     batches = TrainingBatches(dataset, config)
-    out = Path(args.out or f"august_runs/{config.preset}")
+    out = _folder(args, f"august_runs/{config.preset}")
     _note(f"{len(dataset.rows('train'))} of {dataset.count} samples are for training, {config.train.steps} steps")
     state = train(config, batches, out, validate=validator(dataset, config), draw=training_curves,
                   weights=weights, printer=_note)
@@ -446,7 +472,10 @@ def _training_config(args: argparse.Namespace, made: Config, folder: Path) -> Co
     base = dataclasses.replace(configuration.preset(made.preset), **{name: getattr(made, name) for name in sections})
     config = configuration.override(base, args.overrides)
     # what is observed anew in every step does not depend on how it was observed when the data were made
-    fixed = sections[:3] + ("data.seed", "data.solver") + (() if config.train.reobserve else ("region", "signal"))
+    fixed = sections[:3] + ("data",) + (() if config.train.reobserve else ("region", "signal"))
+    if config.model.scheme == "refchannel":
+        raise ConfigError("model.scheme=refchannel: the data hold no reference channels, which it learns from\n"
+                          "choose august, noebd or nolatent")
     for path, has, wanted in _differences(made, config, fixed):
         raise ConfigError(f"{path}={wanted}: the data in {folder} were made with {has}\n"
                           "leave the override out, or make other data with august simulate")
@@ -464,11 +493,11 @@ def _evaluate_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _evaluate(args: argparse.Namespace) -> dict[str, Any]:
     from august_jax import evaluation, plotting
-    from august_jax.export import write_text
+    from august_jax.files import write_text
 
+    out = _folder(args, "august_evaluate")
     networks, config = _weights(args, args.rest[0] if args.rest else None)
     rows = evaluation.evaluate(networks, config, seed=args.seed, progress=_note)
-    out = Path(args.out or "august_evaluate")
     result = {"weights": networks.name, "seed": args.seed, "rows": rows}
     write_text(out / "evaluation.json", json.dumps(result, indent=1, allow_nan=False))
     plotting.evaluation_curves(rows, out / "evaluation.png",
@@ -482,7 +511,7 @@ def _evaluate(args: argparse.Namespace) -> dict[str, Any]:
 
 
 def _export_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.set_defaults(places=1)
+    parser.set_defaults(places=1, configured=False)
     parser.usage = f"{parser.prog} SOURCE --format FORMAT [options]"
     parser.add_argument("--format", required=True, metavar="FORMAT", help="ply, npz, mat or json")
     parser.add_argument("--index", type=int, default=-1, metavar="N",

@@ -13,8 +13,10 @@ import dataclasses
 import difflib
 import hashlib
 import json
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any, get_args, get_origin, get_type_hints
 
 Range = tuple[float, float]
@@ -75,7 +77,7 @@ class FlightConfig:
     slots: int = 50
     slot_s: float = 0.2
     tilt_deg: float = 30.0
-    """Largest tilt about x and y [deg]."""
+    """Largest tilt of the thrust axis [deg]."""
 
 
 @dataclass(frozen=True)
@@ -305,10 +307,21 @@ def from_yaml(text: str) -> Config:
     """Inverse of :func:`to_yaml`."""
     import yaml
 
-    tree = yaml.safe_load(text)
+    try:
+        tree = yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        raise ConfigError(f"config: the text is not YAML ({str(error).splitlines()[0]})") from None
     if not isinstance(tree, Mapping):
-        raise ConfigError("config: the file holds no mapping of sections; write one with `august simulate`")
+        raise ConfigError("config: the text holds no mapping of sections")
     return from_dict(tree)
+
+
+def read(path: str | os.PathLike) -> Config:
+    """The configuration in a file that :func:`to_yaml` made; :class:`ConfigError` names the file."""
+    try:
+        return from_yaml(Path(path).read_text(encoding="utf-8"))
+    except (OSError, ConfigError) as error:
+        raise ConfigError(f"{path}: {error}\nit is damaged or of another version; make that folder again") from None
 
 
 def digest(*parts: Any) -> str:
@@ -428,6 +441,9 @@ def _validate(config: Config) -> None:
         (all(tone > 0 for tone in config.array.tones_hz), "array.tones_hz", config.array.tones_hz, "must be positive"),
         (config.data.seed >= 0 and config.train.seed >= 0, "seed", (config.data.seed, config.train.seed),
          "data.seed and train.seed must not be negative"),
+        (config.evaluate.sampler != "dpm" or 2 <= config.evaluate.sampler_steps <= config.model.steps,
+         "evaluate.sampler_steps", config.evaluate.sampler_steps,
+         f"must lie between 2 and model.steps ({config.model.steps}) for the sampler dpm"),
         (bool(config.evaluate.snr_db), "evaluate.snr_db", config.evaluate.snr_db, "name at least one SNR"),
         (config.model.frame == "region" or config.train.weight_readout > 0, "model.frame", config.model.frame,
          "is read from the latent; set train.weight_readout above 0, or model.frame=region"),

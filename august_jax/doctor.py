@@ -42,7 +42,7 @@ def examine(out: Path) -> Iterator[Check]:
     yield _guarded("weights", _weights)
     collada = find_spec("collada") is not None
     yield Check("dae meshes", True if collada else None,
-                "pycollada is here" if collada else "only with pycollada: pip install 'august_jax[dae]'")
+                "pycollada is here" if collada else "only with pycollada: pip install -c constraints.txt pycollada")
 
 
 def _guarded(name: str, check: Callable[[], tuple[bool | None, str]]) -> Check:

@@ -114,8 +114,8 @@ def evaluate(networks: Networks, config: Config, *, seed: int,
 
 
 def unit_information(samples: Mapping[str, np.ndarray], targets: Sequence[Target], config: Config) -> np.ndarray | None:
-    """Fisher information (n, 10, 10) of the first samples, airframe by airframe, at an SNR of 1, pilots of the RoI about
-    q_pre; it grows in proportion to the SNR. None where the data's solver is not the one whose channel can be
+    """Fisher information (n, 10, 10) of the first samples, airframe by airframe, at an SNR of 1, pilots of the RoI
+    about q_pre; it grows in proportion to the SNR. None where the data's solver is not the one whose channel can be
     differentiated here."""
     if any(target.body is None for target in targets):
         return None
@@ -128,9 +128,11 @@ def unit_information(samples: Mapping[str, np.ndarray], targets: Sequence[Target
             books = [roi_codebook(array.nx, array.nz, direction_angles(jnp.asarray(place)), widths,
                                   mirror=config.signal.mirror_beams) for place in samples["predicted"][mine]]
             lit = np.stack([np.asarray(book @ book.conj().T) for book in books])
+            # fisher_information counts one symbol an antenna.
+            repeats = (config.signal.symbols or array.count) / array.count
             found.append(fisher_information(
                 target.body, array, samples["rotation"][mine], samples["position"][mine],
-                samples["permittivity"][mine], samples["conductivity"][mine], 1.0, illumination=lit))
+                samples["permittivity"][mine], samples["conductivity"][mine], repeats, illumination=lit))
     return np.concatenate(found)
 
 
@@ -140,13 +142,14 @@ def _bounded(samples: Mapping[str, np.ndarray]) -> np.ndarray:
 
 
 def _prior(config: Config) -> Prior:
-    """What is known before the echo: the prediction's threshold and the ranges of tilt and material."""
+    """What is known before the echo: the prediction's threshold, the ranges of tilt and material, any heading."""
     def uniform(low, high):
         return max(high - low, 1e-6 * max(abs(high), 1e-9)) / np.sqrt(12.0)
 
     return Prior(
         position_m=max(uniform(-config.region.threshold_m, config.region.threshold_m), 1e-6),
         turn_rad=uniform(*np.deg2rad([-config.flight.tilt_deg, config.flight.tilt_deg])),
+        heading_rad=uniform(-np.pi, np.pi),
         permittivity=uniform(*config.target.permittivity), conductivity=uniform(*config.target.conductivity_s_m),
     )
 

@@ -7,34 +7,15 @@ conductivity as scalar fields. The other formats hold a record: a flat mapping o
 from __future__ import annotations
 
 import json
-import os
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from august_jax.files import replacing
+
 FORMATS = ("ply", "npz", "mat", "json")
-
-
-@contextmanager
-def replacing(path: str | Path) -> Iterator[Path]:
-    """A temporary path beside ``path`` that takes its place when the block ends well, and vanishes otherwise."""
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    aside = path.with_name(f".{path.name}.{os.getpid()}{path.suffix}")
-    try:
-        yield aside
-        os.replace(aside, path)
-    finally:
-        aside.unlink(missing_ok=True)
-
-
-def write_text(path: str | Path, text: str) -> None:
-    """Write UTF-8 text."""
-    with replacing(path) as aside:
-        aside.write_text(text, encoding="utf-8")
 
 
 def write_ply(path: str | Path, points, permittivity, conductivity) -> None:

@@ -133,7 +133,7 @@ def load_networks(run: str | Path | None = None) -> Networks:
     from august_jax.training.checkpoint import load_weights
 
     settings, weights = run_files(run)
-    config = configuration.from_yaml(settings.read_text(encoding="utf-8"))
+    config = configuration.read(settings)
     graphdef, state = load_weights(weights, config)
     return Networks("shipped laptop weights" if run is None else str(run), config, graphdef, state)
 
@@ -201,9 +201,10 @@ def pose(
                          + ",".join(f"{_between(span, 0.5):g}" for span in flight.box_m))
     rotation = np.asarray(rotation_from_euler(*np.radians([roll_deg, pitch_deg, yaw_deg])), np.float64)
     slope = np.tan(np.radians(flight.tilt_deg))
-    if not (rotation[2, 2] > 0.0 and np.abs(rotation[:2, 2]).max() <= slope * rotation[2, 2] * (1.0 + 1e-5)):
-        raise ValueError(f"pitch, roll: {pitch_deg:g}, {roll_deg:g} degrees tilt the drone more than the "
-                         f"{flight.tilt_deg:g} degrees about x and y that the weights know; use smaller angles")
+    if not (rotation[2, 2] > 0.0 and np.hypot(*rotation[:2, 2]) <= slope * rotation[2, 2] * (1.0 + 1e-5)):
+        tilt = np.degrees(np.arccos(np.clip(rotation[2, 2], -1.0, 1.0)))
+        raise ValueError(f"pitch, roll: {pitch_deg:g} and {roll_deg:g} degrees tilt the drone by {tilt:.3g} degrees, "
+                         f"more than the {flight.tilt_deg:g} degrees that the weights know; use smaller angles")
     material = []
     for name, value, span in (("permittivity", permittivity, target.permittivity),
                               ("conductivity", conductivity, target.conductivity_s_m)):
@@ -220,8 +221,8 @@ def channels_along(airframe: Airframe, config: Config, rotations, positions, per
     """True channels of one craft in T poses (T, F, N_b, N_b) complex64, by ``config.data.solver``.
 
     Args:
-        airframe: the craft. For ``mom`` and more than 40 poses its body is factored first, a minute or two for 1000
-            cells, and kept in a cache; for fewer poses the dense solve of each is quicker, a second or two.
+        airframe: the craft. For ``mom`` and more than 40 poses its body is factored first, half a minute for 1000
+            cells, and kept in a cache; for fewer poses the dense solve of each is quicker, about a second.
         config: array, lattice, solver, and the box that bounds how near the craft comes.
         rotations, positions: body to world (T, 3, 3), surface centroids (T, 3) [m].
         permittivity, conductivity: the material, [1] and [S/m].
@@ -268,7 +269,7 @@ def sense(networks: Networks, config: Config, scenario: Scenario, *, seed: int, 
         progress: takes lines of progress.
     """
     start_key, label_key, again_key, slot_key = jax.random.split(jax.random.key(seed), 4)
-    progress("computing the full-wave channels (the first time with a new drone: up to a minute or two)")
+    progress("computing the full-wave channels")
     channels = channels_along(scenario.airframe, config, scenario.rotations, scenario.positions, scenario.permittivity,
                               scenario.conductivity)
     progress("estimating the channels and reconstructing the clouds")
@@ -313,7 +314,7 @@ def _follow(graphdef, state, key, channels, detected, config: Config, snr_db):
         echo_key, cloud_key, normal_key = jax.random.split(jax.random.fold_in(key, number), 3)
         seen = look(echo_key, channel, predicted, array=config.array, signal=config.signal, region=config.region,
                     snr_db=snr_db)
-        cloud = reconstruct(graphdef, state, cloud_key, seen[0][None], predicted[None], seen.snr_db[None],
+        cloud = reconstruct(graphdef, state, cloud_key, seen[0][None], predicted[None], seen.snr_estimate_db[None],
                             count=config.target.points, sampler=evaluate.sampler, steps=evaluate.sampler_steps)[0]
         reading = from_cloud(cloud, predicted, config.region)
         normal = rotor_plane_normal(normal_key, reading.points)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from august_jax.export import replacing
+from august_jax.files import replacing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from august_jax.pipeline import Track
 
-INK, SOFT, LINE = "#17212b", "#5c6b78", "#dfe5ea"
+SOFT, LINE = "#5c6b78", "#dfe5ea"
 MODEL, TRUTH, BASE = "#0a6ebd", "#3a4652", "#c8641b"
 STYLES = {
     "august": {"color": MODEL, "marker": "o", "lw": 2.0, "ms": 5},

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from august_jax.export import write_text
+from august_jax.files import write_text
 
 if TYPE_CHECKING:
     from august_jax.pipeline import Track

@@ -18,8 +18,8 @@ Parts:
 ``set``
     channels of the paper's flights, five airframes.
 
-What is compared is timed in turn and by its median; errors are relative to LU in complex128. torchgdm is no dependency:
-`pip install torchgdm==0.61` adds its columns, without it they stay empty. ``rigid`` and ``moving`` take a few minutes on
+What is compared is timed in turn and by its median; errors are relative to LU in complex128. torchgdm is no
+dependency: `pip install torchgdm==0.61` adds its columns, without it they stay empty. ``rigid`` and ``moving`` take a few minutes on
 two cores; the others wait for bodies to be factored the first time, ``set`` and 4000 cells for much of an hour.
 """
 
@@ -322,8 +322,8 @@ def paper_set(args) -> list[dict]:
         done += args.batch
     spent = time.perf_counter() - start
     sizes = [cells.count for cells in lattices]
-    print(f"set     {args.count} channels of {len(bodies)} airframes ({min(sizes)} to {max(sizes)} cells): {spent:.0f} s,"
-          f" flights and compiling counted; factoring or reading the bodies {factoring:.0f} s", flush=True)
+    print(f"set     {args.count} channels of {len(bodies)} airframes ({min(sizes)} to {max(sizes)} cells): {spent:.0f} "
+          f"s, flights and compiling counted; factoring or reading the bodies {factoring:.0f} s", flush=True)
     return [{"count": args.count, "cells": sizes, "channels_s": spent, "factoring_or_cache_s": factoring}]
 
 

@@ -5,8 +5,9 @@
 
 The bound on the position error (unknown attitude, material and complex gain) is differentiated in the antennas' places,
 which move within a square aperture, no two nearer than half a wavelength, until it stops falling. It is measured on
-poses that the descent has not seen, beside arrays that one would build without it. A bound knows the neighbourhood of the truth alone: the last panel
-shows what the descent does not see, how alike the channels of places farther away are (ambiguity).
+poses that the descent has not seen, beside arrays that one would build without it. A bound knows the neighbourhood
+of the truth alone: the last panel shows what the descent does not see, how alike the channels of places farther away
+are (ambiguity).
 """
 
 from __future__ import annotations

@@ -110,7 +110,8 @@ def draw(results: dict[str, np.ndarray], path: Path) -> None:
         left.semilogy(100 * results["offsets_m"], valley, label=label, color=color)
     left.set(xlabel="offset in range [cm]", ylabel="relative misfit", title="valleys along the line of sight")
     for end, label, color in zip(results["ends"], ("gain known", "gain fitted"), ("#c8641b", "#0a6ebd")):
-        middle.loglog(100 * results["starts_m"], 100 * np.linalg.norm(end[:, :3], axis=1), ".", label=label, color=color)
+        middle.loglog(100 * results["starts_m"], 100 * np.linalg.norm(end[:, :3], axis=1), ".", label=label,
+                      color=color)
     middle.axhline(100 * float(results["bound_m"]), color="0.4", ls="--", label="bound, gain unknown")
     middle.plot([0.5, 30], [0.5, 30], color="0.8", lw=1)
     middle.set(xlabel="distance of the start [cm]", ylabel="distance of the end [cm]", title="where descents end")

@@ -11,7 +11,9 @@ import numpy as np
 Numbers = dict[str, np.ndarray]
 
 
-def run(about: str | None, name: str, compute: Callable[[bool], Numbers], draw: Callable[[Numbers, Path], None]) -> None:
+def run(
+    about: str | None, name: str, compute: Callable[[bool], Numbers], draw: Callable[[Numbers, Path], None]
+) -> None:
     """Parse the command line of the experiment ``name`` and do what it says.
 
     Args:

@@ -75,8 +75,8 @@ def compute(small: bool, report=print) -> dict[str, np.ndarray]:
         whole = channel(turn, jnp.ones(cells.count))
         size = jnp.linalg.norm(whole)
         cell_values.append(np.asarray(by_cell(turn) / size))
-        part_values.append([float(jnp.linalg.norm(whole - channel(turn, jnp.asarray(part != index, jnp.float32))) / size)
-                            for index in range(len(PARTS))])
+        without = [channel(turn, jnp.asarray(part != index, jnp.float32)) for index in range(len(PARTS))]
+        part_values.append([float(jnp.linalg.norm(whole - each) / size) for each in without])
         report(f"attitude {pose + 1}/{poses}: " + ", ".join(
             f"{name} {value:.0%}" for name, value in zip(PARTS, part_values[-1])))
     material = np.asarray(cells.fill) * np.asarray(cells.volumes)

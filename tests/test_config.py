@@ -60,3 +60,11 @@ def test_the_digest_of_data_follows_the_physics_and_not_the_amount():
     assert configuration.data_digest(config) != configuration.data_digest(other)
     with pytest.raises(ConfigError, match="unknown preset"):
         preset("huge")
+
+
+@pytest.mark.parametrize("text", ["a: [", "3", "model: {latnet: 3}"])
+def test_a_damaged_file_is_named(tmp_path, text):
+    path = tmp_path / "config.yaml"
+    path.write_text(text)
+    with pytest.raises(configuration.ConfigError, match="config.yaml.*\n.*make that folder again"):
+        configuration.read(path)

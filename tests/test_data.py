@@ -74,6 +74,8 @@ def test_shards_survive_a_kill_and_parts_make_the_whole(folder, tmp_path):
 def test_other_data_are_not_overwritten(folder):
     with pytest.raises(data.DataError, match="another configuration"):
         data.simulate(override(CONFIG, ["data.seed=5"]), folder)
+    with pytest.raises(data.DataError, match="shard size"):  # the same rows would be there twice
+        data.simulate(override(CONFIG, ["data.shard_rows=24"]), folder)
     with pytest.raises(ValueError, match="1 <= i <= n"):
         data.simulate(CONFIG, folder, part=(3, 2))
     with pytest.raises(data.DataError, match="august simulate"):

@@ -97,6 +97,14 @@ def test_requested_snr_is_realised(estimator):
     assert np.ptp(seen.snr_db) > 0.0
 
 
+@pytest.mark.parametrize("estimator", ["ridge", "lmmse_roi"])
+def test_the_receiver_s_own_snr_is_near_the_realised_one(estimator):
+    for level, tolerance in ((0.0, 0.6), (20.0, 0.3)):  # at 0 dB what H X and N have in common weighs more
+        _, _, seen = observed("near", estimator, level)
+        np.testing.assert_allclose(seen.snr_estimate_db, seen.snr_db, atol=tolerance)
+        assert jnp.max(jnp.abs(seen.snr_estimate_db - seen.snr_db)) > 1e-4  # it cannot know the noise
+
+
 def test_power_and_snr_are_two_ways_to_say_one_thing():
     channels, predictions, seen = observed("near", "ridge", 17.0)
     said = partial(estimation.observe, array=ARRAY, signal=SignalConfig(estimator="ridge"), region=REGION)
@@ -129,11 +137,12 @@ def test_reduced_observation_has_the_statistics_of_the_explicit_one():
         received, snr = estimation.echo(key_noise, channel[0], sent, noise_w)
         region = estimation.Region(predicted, REGION.scale_m, planar.positions, planar.wavenumber, basis)
         made = estimation.estimate("lmmse_roi", received, sent, noise_w=noise_w, region=region)
-        return made.channel[None], 10 * jnp.log10(snr)
+        return made.channel[None], 10 * jnp.log10(snr), 10 * jnp.log10(estimation.estimate_snr(received, noise_w))
 
     keys = jax.random.split(jax.random.key(3), COUNT)
-    made, snr = jax.jit(jax.vmap(explicit))(keys, channels, predictions, reduced.power_dbm)
+    made, snr, known = jax.jit(jax.vmap(explicit))(keys, channels, predictions, reduced.power_dbm)
     np.testing.assert_allclose(snr.mean(), reduced.snr_db.mean(), atol=0.1)  # 0.07 dB a draw, 24 draws
+    np.testing.assert_allclose(known.mean(), reduced.snr_estimate_db.mean(), atol=0.1)
     assert abs(nmse_db(made, channels) - nmse_db(reduced.channel, channels)) < 1.5  # 24 draws of each
 
 

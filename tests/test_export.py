@@ -7,7 +7,7 @@ import pytest
 import trimesh
 from scipy.io import loadmat
 
-from august_jax import export
+from august_jax import export, files
 
 RNG = np.random.default_rng(0)
 POINTS = RNG.normal(size=(7, 3)).astype(np.float32)
@@ -70,8 +70,8 @@ def test_unknown_suffix_names_the_known_ones(tmp_path):
 
 def test_interrupted_write_leaves_the_old_file_and_no_other(tmp_path):
     path = tmp_path / "kept.txt"
-    export.write_text(path, "old")
-    with pytest.raises(KeyboardInterrupt), export.replacing(path) as aside:
+    files.write_text(path, "old")
+    with pytest.raises(KeyboardInterrupt), files.replacing(path) as aside:
         aside.write_text("half")
         raise KeyboardInterrupt
     assert path.read_text() == "old"

@@ -10,10 +10,11 @@ import pytest
 import august_jax
 
 ROOT = Path(august_jax.__file__).parent
-BASE = {"constants", "config"}
+BASE = {"constants", "config", "files"}
 ALLOWED = {
     "constants": set(),
     "config": set(),
+    "files": set(),
     "physics": BASE,
     "signal": BASE | {"physics"},
     "scene": BASE | {"physics.cells"},

@@ -3,6 +3,7 @@
 import json
 import struct
 
+import numpy as np
 import pytest
 from made_up_track import made_up_track
 
@@ -32,16 +33,31 @@ def test_training_curves_refuse_an_empty_log(tmp_path):
     assert not (tmp_path / "curves.png").exists()
 
 
-@pytest.mark.parametrize("slots, wide", [(1, True), (6, True)])
-def test_clouds_fit_one_slot_and_many(tmp_path, slots, wide):
-    plotting.clouds(made_up_track(slots), tmp_path / "clouds.png", permittivity=(1.5, 5.0), title="made up")
-    width, height = size(tmp_path / "clouds.png")
-    assert (width > height) == wide
+@pytest.fixture
+def drawn(monkeypatch):
+    """The figures that are saved, to look into."""
+    figures = []
+    monkeypatch.setattr(plotting, "save", lambda figure, png: figures.append(figure))
+    return figures
 
 
-def test_evaluation_curves_leave_out_what_is_not_defined(tmp_path):
+@pytest.mark.parametrize("slots, panels", [(1, 2), (3, 6), (9, 8)])
+def test_clouds_show_truth_and_reconstruction_of_at_most_four_slots(tmp_path, drawn, slots, panels):
+    track = made_up_track(slots)
+    plotting.clouds(track, tmp_path / "clouds.png", permittivity=(1.5, 5.0), title="made up")
+    boxes = [axes for axes in drawn[0].axes if axes.name == "3d"]
+    assert len(boxes) == panels
+    last = track.points[-1] - track.position[-1]
+    np.testing.assert_allclose(np.stack(boxes[-1].collections[0]._offsets3d, -1), last, atol=1e-6)
+
+
+def test_evaluation_curves_leave_out_what_is_not_defined(tmp_path, drawn):
     none = {"mpe_m": None, "mde": None, "wd_db": None, "mcd_db": None, "count": 8, "bound_m": 0.02, "bound_mde": 0.001}
     rows = [{"scheme": scheme, "snr_db": snr, **none, **values} for snr in (0.0, 20.0) for scheme, values in
             {"august": {"mpe_m": 0.1, "mde": 0.02, "wd_db": -20.0, "mcd_db": -30.0}, "prior": {"mpe_m": 0.48}}.items()]
     plotting.evaluation_curves(rows, tmp_path / "evaluation.png", title="made up")
-    assert min(size(tmp_path / "evaluation.png")) > 500
+    lines = [{line.get_label(): line.get_ydata().tolist() for line in axes.lines} for axes in drawn[0].axes]
+    august, prior = (plotting.LABELS[name] for name in ("august", "prior"))
+    assert lines == [{august: [0.1, 0.1], prior: [0.48, 0.48], "bound": [0.02, 0.02]},
+                     {august: [0.02, 0.02], "bound": [0.001, 0.001]}, {august: [-20.0, -20.0]},
+                     {august: [-30.0, -30.0]}]

@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from august_jax.config import Config, from_yaml
+from august_jax.config import Config, read
 from august_jax.data.generate import Sample, draw_level, draw_prediction, split_of, unpack
 from august_jax.data.shards import DataError, read_manifest
 from august_jax.scene.cloud import to_cloud
@@ -40,17 +40,18 @@ class Dataset:
     def __init__(self, folder: str | Path):
         folder = Path(folder)
         manifest = read_manifest(folder)
-        self.config = from_yaml((folder / "config.yaml").read_text())
+        self.config = read(folder / "config.yaml")
         self._shards: list[Sample] = []
         for name in manifest["shards"]:
-            meta = json.loads((folder / name / "meta.json").read_text())
             try:
+                meta = json.loads((folder / name / "meta.json").read_text())
                 fields = {field: np.load(folder / name / f"{field}.npy", mmap_mode="r") for field in meta["arrays"]}
             except (OSError, ValueError) as error:
                 raise DataError(f"{folder / name}: {error}; remove it and run `august simulate` again") from None
             self._shards.append(fields)
         if not self._shards:
-            raise DataError(f"{folder}: holds no finished shard; run `august simulate --out {folder}` to its end")
+            raise DataError(f"{folder}: holds no finished shard; run `august simulate --preset "
+                            f"{self.config.preset} --out {folder}` to its end")
         self._starts = np.cumsum([0, *(len(fields["flight"]) for fields in self._shards)])
         self.count = int(self._starts[-1])
         self.flights = np.concatenate([fields["flight"] for fields in self._shards])
@@ -100,11 +101,13 @@ def as_stored(samples: Sample, config: Config) -> Batch:
     """The model's batch of samples as they were observed when they were made.
 
     Returns:
-        ``channel`` (B, F, N_b, N_b) H_est, ``predicted`` (B, 3) [m], ``snr_db`` (B,), ``cloud`` (B, M, 5).
+        ``channel`` (B, F, N_b, N_b) H_est, ``predicted`` (B, 3) [m], ``snr_db`` (B,) as the receiver estimates it,
+        ``cloud`` (B, M, 5).
     """
     samples = {name: jnp.asarray(value) for name, value in samples.items()}
     return {
-        "channel": unpack(samples["estimate"]), "predicted": samples["predicted"], "snr_db": samples["snr_db"],
+        "channel": unpack(samples["estimate"]), "predicted": samples["predicted"],
+        "snr_db": samples["snr_estimate_db"],
         "cloud": _cloud(samples, samples["predicted"], config),
     }
 
@@ -127,7 +130,7 @@ def observed_anew(key: jax.Array, samples: Sample, config: Config, snr_db: jax.A
         level = draw_level(level_key, config) if snr_db is None else {"snr_db": snr_db}
         seen = look(echo_key, unpack(packed), predicted, array=config.array, signal=config.signal, region=config.region,
                     **level)
-        return {"channel": seen[0], "predicted": predicted, "snr_db": seen.snr_db}
+        return {"channel": seen[0], "predicted": predicted, "snr_db": seen.snr_estimate_db}
 
     keys = jax.random.split(key, samples["position"].shape[0])
     batch = jax.vmap(one)(keys, samples["channel"], samples["position"])

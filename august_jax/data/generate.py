@@ -113,9 +113,9 @@ def generate(config: Config, rows: Sequence[int] | np.ndarray, targets: Sequence
     Returns:
         Arrays with a leading axis n (float32, complex64 and int32):
         ``position`` (3,) [m], ``rotation`` (3, 3) body to world, ``permittivity``, ``conductivity`` [S/m],
-        ``airframe`` (index), ``flight``, ``slot``, ``predicted`` (3,) [m], ``snr_db`` (realised), ``power_dbm``,
-        ``channel`` and ``estimate`` (F, N_b (N_b + 1)/2), upper triangles of H and H_est, and ``points`` (M, 3):
-        surface points in world axes about ``position`` [m].
+        ``airframe`` (index), ``flight``, ``slot``, ``predicted`` (3,) [m], ``snr_db`` (realised), ``snr_estimate_db``,
+        ``power_dbm``, ``channel`` and ``estimate`` (F, N_b (N_b + 1)/2), upper triangles of H and H_est, and
+        ``points`` (M, 3): surface points in world axes about ``position`` [m].
     """
     rows = np.asarray(rows, np.int64)
     slots, kinds = config.flight.slots, len(config.target.airframes)
@@ -178,8 +178,9 @@ def _compiled(keys, known, body: Body | Cells, surface, cumulative, config: Conf
                            **draw_level(level_key, config))
         points = sample_triangles(points_key, surface, cumulative, config.target.points) @ row["rotation"].T
         return {
-            "predicted": seen_from, "snr_db": observed.snr_db, "power_dbm": observed.power_dbm,
-            "channel": pack(channel), "estimate": pack(observed.channel), "points": points,
+            "predicted": seen_from, "snr_db": observed.snr_db, "snr_estimate_db": observed.snr_estimate_db,
+            "power_dbm": observed.power_dbm, "channel": pack(channel), "estimate": pack(observed.channel),
+            "points": points,
         }
 
     return jax.vmap(one)(keys, known)

@@ -22,9 +22,14 @@ from pathlib import Path
 import numpy as np
 
 from august_jax.config import Config, data_digest, to_yaml
+from august_jax.config import digest as digest_of
 from august_jax.data.generate import Sample, generate, prepare_targets
+from august_jax.files import write_text
 
 _PIECE = 2000  # rows generated between two progress lines
+
+
+_FORMAT = 2  # of the fields and their meaning; in the digest, so that formats never mix
 
 
 class DataError(ValueError):
@@ -57,13 +62,13 @@ def simulate(
     if not 1 <= index <= parts:
         raise ValueError(f"shard: got {index}/{parts}; give i/n with 1 <= i <= n, e.g. 2/4")
     folder = Path(folder)
-    digest = data_digest(config)
+    digest = identity(config)
     if (folder / "manifest.json").exists():
         found = read_manifest(folder)["digest"]
         if found != digest:
             raise DataError(
-                f"{folder}: holds data of another configuration (digest {found}, wanted {digest}); "
-                "choose another --out, or remove the folder"
+                f"{folder}: holds data of another configuration, shard size, mesh file or version (digest {found}, "
+                f"wanted {digest}); choose another --out, or remove the folder"
             )
     folder.mkdir(parents=True, exist_ok=True)
     count, size = config.data.count, config.data.shard_rows
@@ -93,6 +98,12 @@ def simulate(
     return manifest | {"written": written, "seconds": seconds, "samples_per_s": written / max(seconds, 1e-9)}
 
 
+def identity(config: Config) -> str:
+    """Digest of all that the stored samples depend on: configuration, format, shard size, content of mesh files."""
+    meshes = {name: _sha256(Path(name)) for name in config.target.airframes if Path(name).is_file()}
+    return digest_of(data_digest(config), _FORMAT, config.data.shard_rows, meshes)
+
+
 def shard_name(number: int) -> str:
     """Folder name of a shard."""
     return f"shard-{number:05d}"
@@ -102,11 +113,16 @@ def read_manifest(folder: str | Path) -> dict:
     """The manifest of a data folder; :class:`DataError` where there is none."""
     path = Path(folder) / "manifest.json"
     try:
-        return json.loads(path.read_text())
+        manifest = json.loads(path.read_text())
     except FileNotFoundError:
-        raise DataError(f"{folder}: holds no manifest.json; make data with `august simulate --out {folder}`") from None
+        raise DataError(f"{folder}: holds no manifest.json; make data with `august simulate --out {folder}` and the "
+                        "preset that you want") from None
     except json.JSONDecodeError as error:
         raise DataError(f"{path}: is not JSON ({error}); remove it and run `august simulate` again") from None
+    if manifest.get("format") != _FORMAT:
+        raise DataError(f"{folder}: holds data of another version (format {manifest.get('format')}, wanted {_FORMAT}); "
+                        "make them again with `august simulate`, in another folder")
+    return manifest
 
 
 def verify(folder: str | Path) -> None:
@@ -119,12 +135,17 @@ def verify(folder: str | Path) -> None:
                 raise DataError(f"{path}: is damaged; remove {folder / name} and run `august simulate` again")
 
 
-def _complete(shard: Path, span: tuple[int, int], digest: str) -> bool:
+def _meta(shard: Path) -> dict | None:
+    """What a shard says of itself; None where it is missing or damaged."""
     try:
-        meta = json.loads((shard / "meta.json").read_text())
+        return json.loads((shard / "meta.json").read_text())
     except (OSError, json.JSONDecodeError):
-        return False
-    if meta["digest"] != digest or meta["rows"] != list(span):
+        return None
+
+
+def _complete(shard: Path, span: tuple[int, int], digest: str) -> bool:
+    meta = _meta(shard)
+    if not meta or meta["digest"] != digest or meta["rows"] != list(span):
         return False
     return all((shard / f"{field}.npy").exists() for field in meta["arrays"])
 
@@ -141,7 +162,7 @@ def _write_shard(folder: Path, number: int, fields: Sample, span: tuple[int, int
             file.flush()
             os.fsync(file.fileno())
         arrays[name] = {"shape": list(value.shape), "dtype": str(value.dtype), "sha256": _sha256(path)}
-    _write_text(aside / "meta.json", json.dumps({"rows": list(span), "digest": digest, "arrays": arrays}, indent=1))
+    write_text(aside / "meta.json", json.dumps({"rows": list(span), "digest": digest, "arrays": arrays}, indent=1))
     shutil.rmtree(final, ignore_errors=True)
     os.replace(aside, final)
 
@@ -149,26 +170,17 @@ def _write_shard(folder: Path, number: int, fields: Sample, span: tuple[int, int
 def _write_manifest(folder: Path, config: Config, digest: str) -> dict:
     shards = {}
     for shard in sorted(folder.glob("shard-*")):
-        meta = json.loads((shard / "meta.json").read_text())
-        if meta["digest"] == digest:
+        meta = _meta(shard)
+        if meta and meta["digest"] == digest:
             shards[shard.name] = meta["rows"]
     manifest = {
-        "format": 1, "digest": digest, "preset": config.preset,
+        "format": _FORMAT, "digest": digest, "preset": config.preset,
         "rows": sum(high - low for low, high in shards.values()), "wanted": config.data.count,
         "airframes": list(config.target.airframes), "shards": shards,
     }
-    _write_text(folder / "config.yaml", to_yaml(config))
-    _write_text(folder / "manifest.json", json.dumps(manifest, indent=1))
+    write_text(folder / "config.yaml", to_yaml(config))
+    write_text(folder / "manifest.json", json.dumps(manifest, indent=1))
     return manifest
-
-
-def _write_text(path: Path, text: str) -> None:
-    aside = path.with_name(f".{path.name}.{os.getpid()}.part")
-    with aside.open("w") as file:
-        file.write(text)
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(aside, path)
 
 
 def _sha256(path: Path) -> str:

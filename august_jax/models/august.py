@@ -17,7 +17,8 @@ asked for: the mean spares the estimate the posterior's spread, and training saw
 An optional term trains a linear readout of the posterior mean to the cloud's moments (`frame.moments`). It shapes
 the latent early, when the diffusion's gradient is mostly noise, and reads a position without sampling a cloud. With
 `config.model.frame` = ``craft`` the cloud first settles on one craft and heading (`signature`), and the diffusion draws
-points in the frame that these and the readout state (`frame`).
+points in the frame that these and the readout state (`frame`); the squared error of the signature's noise joins the
+loss with the weight gamma_pos.
 
 Schemes (`config.model.scheme`): ``august``; ``noebd`` without the embeddings of position and SNR (with the ``roi``
 encoder q_pre still centres the subspace); ``nolatent``, where f itself conditions the diffusion and there is no

@@ -1,9 +1,9 @@
 r"""The conditional channel encoder: from the estimated channel to a feature vector f (paper, Section IV-B).
 
-    h_vec = W_p v + b_p,   h_emb = [w1(xi(q_pre)) * h_vec ; w2(xi(P_snr))],   f = F_enc(h_emb),
+    h_vec = W_p v + b_p,   h_emb = [(1 + w1(xi(q_pre))) * h_vec ; w2(xi(P_snr))],   f = F_enc(h_emb),
 
-F_enc a residual MLP of Linear-LeakyReLU pairs, w1 and w2 MLPs of two layers. What enters as v is the choice
-``encoder``:
+F_enc a residual MLP of Linear-LeakyReLU pairs, w1 and w2 MLPs of two layers. (The paper has no 1 +; with it, the
+product starts near h_vec itself and not near zero.) What enters as v is the choice ``encoder``:
 
 - ``paper``: the real and imaginary parts of vec(H_est), divided by its Frobenius norm over all tones (the paper
   does not scale; the entries are near 1e-6, of which a network initialised as usual sees nothing).
@@ -160,7 +160,6 @@ class Encoder(nnx.Module):
             model = self.config.model
             _, centre = self.channel_input.centred(channel, predicted)
             place = position_features(centre, model.fourier, self.config.flight, raw_metres=model.raw_metres)
-            # 1 + : the product starts near h_vec itself.
             hidden = jnp.concatenate(
                 [(1.0 + self.position_head(place)) * hidden, self.snr_head(snr_features(snr_db, model.fourier))],
                 axis=-1,

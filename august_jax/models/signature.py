@@ -43,7 +43,7 @@ class Signature(nnx.Module):
         return jnp.mean((noise - found) ** 2)
 
     def draw(self, key: jax.Array, condition: jax.Array, sample) -> jax.Array:
-        """Harmonics (B, 16) for conditions (B, C); ``sample`` is one of the samplers, (key, denoise, shape) -> draws."""
+        """Harmonics (B, 16) for conditions (B, C); ``sample`` is a sampler, (key, denoise, shape) -> draws."""
         shape = (len(condition), 1, NUMBERS)
         return sample(key, lambda points, step: self.denoiser(points, step, condition), shape)[:, 0] / _SCALE
 

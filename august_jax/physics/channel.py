@@ -82,8 +82,8 @@ def sensing_channel(
     if np.ndim(contrast) == 2:
         if np.shape(contrast)[0] != len(tones) or np.shape(contrast)[1] not in (1, count):
             raise ValueError(
-                f"contrast: got shape {np.shape(contrast)}; give ({len(tones)}, 1) or ({len(tones)}, {count}) for these "
-                "tones"
+                f"contrast: got shape {np.shape(contrast)}; give ({len(tones)}, 1) or ({len(tones)}, {count}) for "
+                "these tones"
             )
         rows = [contrast[tone] if np.shape(contrast)[1] == count else contrast[tone, 0] for tone in range(len(tones))]
     else:

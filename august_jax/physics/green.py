@@ -137,7 +137,7 @@ def dipole_fields_about(
         base: from the array's centre to the body's centre (3,) [m].
         elements: antennas about the array's centre (N_b, 3) [m].
         moments: unit vectors of the dipoles, (3,) or (N_b, 3).
-        wavenumber: k [rad/m], a plain number.
+        wavenumber: k [rad/m]; as a plain number it keeps more digits of the phase.
 
     Returns:
         (N, N_b, 3) complex [1/m].

@@ -37,6 +37,7 @@ class Prior(NamedTuple):
     Attributes:
         position_m: along each axis [m]; uniform within +-0.5 m by default.
         turn_rad: about each axis [rad]; 20 degrees by default.
+        heading_rad: about z, where that is another (any heading: pi/sqrt(3)) [rad]; None is ``turn_rad``.
         permittivity, conductivity: uniform in the paper's ranges by default, [1] and [S/m].
         log_gain, phase: of the complex gain, [1] and [rad]; by default unknown. The phase's prior is far wider than a
             turn: in a linearised bound a turn would stand for 3 cm of range.
@@ -48,10 +49,13 @@ class Prior(NamedTuple):
     conductivity: float = 9e-3 / np.sqrt(12.0)
     log_gain: float = 10.0
     phase: float = 1e3
+    heading_rad: float | None = None
 
     def deviations(self) -> np.ndarray:
         """(10,) in the order of ``PARAMETERS``."""
-        return np.array([*[self.position_m] * 3, *[self.turn_rad] * 3, *self[2:]])
+        heading = self.turn_rad if self.heading_rad is None else self.heading_rad
+        return np.array([*[self.position_m] * 3, self.turn_rad, self.turn_rad, heading, self.permittivity,
+                         self.conductivity, self.log_gain, self.phase])
 
 
 KNOWN_GAIN = Prior(log_gain=1e-4, phase=1e-4)

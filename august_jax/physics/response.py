@@ -31,7 +31,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-import tempfile
 import zipfile
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -43,6 +42,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from august_jax.files import replacing
 from august_jax.physics.array import AntennaArray, PlanarArray, wavenumber
 from august_jax.physics.cells import Cells
 from august_jax.physics.checks import check_cells, is_concrete
@@ -352,10 +352,8 @@ def _cached(cells: Cells, frequency_hz: float, nearest_m: float, cache: bool) ->
             pass  # a damaged file is made again below
     factors = _factor(cells, frequency_hz, nearest_m)
     if cache:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as part:
-            np.savez(part, **factors)
-        os.replace(part.name, path)
+        with replacing(path) as aside:
+            np.savez(aside, **factors)
     return factors
 
 

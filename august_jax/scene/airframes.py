@@ -257,7 +257,7 @@ def _read(path: Path, scale: float) -> tuple[np.ndarray, np.ndarray]:
         try:
             import collada  # noqa: F401  trimesh reads COLLADA through it
         except ImportError:
-            raise ValueError(f"{path}: COLLADA needs pycollada; pip install 'august-jax[dae]'") from None
+            raise ValueError(f"{path}: COLLADA needs pycollada; pip install -c constraints.txt pycollada") from None
     import trimesh
 
     # textures and materials are of no use here, and may be missing

@@ -30,9 +30,9 @@ _MOST_PARTS = 12
 """Sub-cells along a cell's edge. Walls nearer to each other than a sub-cell count as one: on a quad_x with a skin of
 0.5 mm in 16.8 mm cells 0.7 % of the material is lost against 32 parts, which take nine times as long."""
 _TOWARDS_CENTROID = 0.4
-"""Where a cell couples to the others, from its centre (0) to its material's centroid (1). Between centres a tilted sheet
-is a staircase; between centroids neighbours that share a corner's worth of material come too close for point dipoles.
-Of 0, 0.25, 0.4, 0.5, 0.6 this errs least on 25 sheets of random tilt and place, at permittivities 3 and 5."""
+"""Where a cell couples to the others, from its centre (0) to its material's centroid (1). Between centres a tilted
+sheet is a staircase; between centroids neighbours that share a corner's worth of material come too close for point
+dipoles. Of 0, 0.25, 0.4, 0.5, 0.6 this errs least on 25 sheets of random tilt and place, at permittivities 3 and 5."""
 
 
 def shell_cells(triangles: np.ndarray, cell_m: float, skin_m: float) -> Cells:

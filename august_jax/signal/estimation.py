@@ -81,12 +81,14 @@ class Observation(NamedTuple):
     Attributes:
         channel: H_est (F, N_b, N_b) complex, symmetric.
         snr_db: realised 10 log10(||HX||^2/||N||^2) over all tones, of the pilots that were sent.
+        snr_estimate_db: what the receiver makes of it from ||Y||^2 and sigma^2 (:func:`estimate_snr`).
         power_dbm: transmit power P_s over all tones [dBm].
         rank: as in :class:`Estimate`, (F,).
     """
 
     channel: jax.Array
     snr_db: jax.Array
+    snr_estimate_db: jax.Array
     power_dbm: jax.Array
     rank: jax.Array
 
@@ -96,6 +98,7 @@ class RegionObservation(NamedTuple):
 
     coefficients: jax.Array
     snr_db: jax.Array
+    snr_estimate_db: jax.Array
     power_dbm: jax.Array
     rank: jax.Array
 
@@ -130,7 +133,12 @@ def estimate_snr(received: jax.Array, noise_w) -> jax.Array:
         noise_w: sigma^2 [W].
     """
     count = received.shape[-2] * received.shape[-1]
-    return jnp.maximum(energy(received) / (noise_w * count) - 1.0, 1.0 / np.sqrt(count))
+    return _snr_above_noise(energy(received) / noise_w, count)
+
+
+def _snr_above_noise(received_energy, entries: int) -> jax.Array:
+    """:func:`estimate_snr` from ||Y||^2/sigma^2 of so many entries."""
+    return jnp.maximum(received_energy / entries - 1.0, 1.0 / np.sqrt(entries))
 
 
 def estimate(
@@ -297,9 +305,11 @@ def observe(
     sent = sent * jnp.sqrt(power_w / noise_w)
     clean = channel @ sent
     noise = _white_noise(key_noise, clean.shape)
-    estimates = jax.vmap(lambda each: estimate(signal.estimator, each, sent, noise_w=1.0))(clean + noise)
+    received = clean + noise
+    estimates = jax.vmap(lambda each: estimate(signal.estimator, each, sent, noise_w=1.0))(received)
     snr = jnp.sum(energy(clean)) / jnp.sum(energy(noise))
-    return Observation(estimates.channel, 10.0 * jnp.log10(snr), beams.watt_to_dbm(power_w), estimates.rank)
+    known = _snr_above_noise(jnp.sum(energy(received)), received.size)
+    return Observation(estimates.channel, _decibels(snr), _decibels(known), beams.watt_to_dbm(power_w), estimates.rank)
 
 
 def observe_roi(
@@ -355,15 +365,17 @@ def observe_roi(
     parts = np.sqrt(0.5) * draws[:-1].reshape(2, *clean.shape)
     noise = jax.lax.complex(parts[0], parts[1])
     rest = entries - clean.size
-    noise_energy = jnp.sum(parts**2) + jnp.maximum(rest + np.sqrt(rest) * draws[-1], 0.0)
+    rest_energy = jnp.maximum(rest + np.sqrt(rest) * draws[-1], 0.0)
+    received = amplitude * clean + noise
     coefficients = jax.vmap(
         lambda seen, pilots, k: roi_coefficients(
             seen, pilots, Region(predicted, region.scale_m, planar.positions, k, basis)
         )
-    )(amplitude * clean + noise, amplitude * sent, wavenumbers)
-    snr = amplitude**2 * jnp.sum(energy(clean)) / noise_energy
+    )(received, amplitude * sent, wavenumbers)
+    snr = amplitude**2 * jnp.sum(energy(clean)) / (jnp.sum(parts**2) + rest_energy)
+    known = _snr_above_noise(jnp.sum(energy(received)) + rest_energy, entries)
     rank = jnp.full(tones, count, jnp.int32)
-    return RegionObservation(coefficients, 10.0 * jnp.log10(snr), beams.watt_to_dbm(power_w), rank)
+    return RegionObservation(coefficients, _decibels(snr), _decibels(known), beams.watt_to_dbm(power_w), rank)
 
 
 def _reduced_beams(predicted, planar: PlanarArray, wavenumber, basis: np.ndarray, factors) -> jax.Array:
@@ -384,6 +396,10 @@ def _geometry(array: ArrayConfig) -> tuple[PlanarArray, np.ndarray, np.ndarray]:
 def _radians(signal: SignalConfig) -> tuple[float, float]:
     azimuth, elevation = np.deg2rad(signal.beam_width_deg)
     return float(azimuth), float(elevation)
+
+
+def _decibels(ratio) -> jax.Array:
+    return 10.0 * jnp.log10(ratio)
 
 
 def _power_for(snr_db, echo_energy_per_watt, noise_w, entries: int) -> jax.Array:

@@ -18,6 +18,7 @@ import numpy as np
 from flax import nnx
 
 from august_jax.config import Config
+from august_jax.files import replacing
 from august_jax.models import create
 from august_jax.training.step import Networks, TrainState
 
@@ -93,11 +94,8 @@ def save_weights(path: str | os.PathLike, state: nnx.State, *, half: bool = Fals
     for name, leaf in arrays.items():
         if not np.isfinite(leaf).all():
             raise ValueError(f"state: {name} holds values that are not finite{' in float16' * half}; nothing written")
-    path = Path(path)
-    part = path.with_name(path.name + ".part")
-    with part.open("wb") as file:
-        np.savez(file, **arrays)
-    part.replace(path)
+    with replacing(path) as aside:
+        np.savez(aside, **arrays)
 
 
 def load_weights(path: str | os.PathLike, config: Config) -> tuple[nnx.GraphDef, nnx.State]:

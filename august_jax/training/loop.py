@@ -22,6 +22,7 @@ from flax import nnx
 
 from august_jax import config as configuration
 from august_jax.config import Config
+from august_jax.files import write_text
 from august_jax.training.checkpoint import Checkpoints, save_weights, warm_start
 from august_jax.training.step import TrainState, compiled_step, initial_state
 
@@ -71,7 +72,7 @@ def train(config: Config, next_batch: NextBatch, out_dir: str | os.PathLike, *, 
         elif weights is not None:
             printer(f"starting from {weights}" + (f", but for {len(kept)} arrays that it lacks, such as {kept[0]}"
                                                   if kept else ""))
-        (out / "config.yaml").write_text(configuration.to_yaml(config), encoding="utf-8")
+        write_text(out / "config.yaml", configuration.to_yaml(config))
         metrics = out / "metrics.jsonl"
         _forget_after(metrics, start)
         waiting = pool.submit(next_batch, start) if start < train.steps else None
@@ -95,7 +96,6 @@ def train(config: Config, next_batch: NextBatch, out_dir: str | os.PathLike, *, 
             line["samples_per_s"] = timed * train.batch / max(now - mark, 1e-9)
             line["seconds_left"] = (train.steps - done) * (now - began) / max(done - start - 1, 1)
             if saving:
-                checkpoints.save(state)
                 averaged = networks.arrays(np.asarray(state.ema))
                 save_weights(out / "weights.npz", averaged)
                 if validate is not None:
@@ -103,8 +103,10 @@ def train(config: Config, next_batch: NextBatch, out_dir: str | os.PathLike, *, 
             with metrics.open("a", encoding="utf-8") as file:
                 file.write(json.dumps({name: float(f"{value:.6g}") for name, value in line.items()}) + "\n")
             printer(_progress(line, train.steps))
-            if saving and draw is not None:
-                draw(metrics, out / "curves.png")
+            if saving:
+                if draw is not None:
+                    draw(metrics, out / "curves.png")
+                checkpoints.save(state)  # last: what a run continues from has all that goes with it on disk
             reports, mark = [], time.perf_counter()
     return state
 
@@ -136,7 +138,7 @@ def _check_same_run(config: Config, path: Path) -> None:
         return {f"{section}.{name}": value for section, fields in tree.items() if isinstance(fields, dict)
                 for name, value in fields.items()}
 
-    before, now = core(configuration.from_yaml(path.read_text(encoding="utf-8"))), core(config)
+    before, now = core(configuration.read(path)), core(config)
     for name, value in now.items():
         if before[name] != value:
             raise ValueError(f"{name}: the run in {path.parent} was started with {before[name]!r}, now it is "
@@ -148,4 +150,4 @@ def _forget_after(metrics: Path, step: int) -> None:
     if metrics.exists():
         lines = [line for line in metrics.read_text(encoding="utf-8").splitlines() if line.endswith("}")]
         kept = [line for line in lines if json.loads(line)["step"] <= step]
-        metrics.write_text("".join(line + "\n" for line in kept), encoding="utf-8")
+        write_text(metrics, "".join(line + "\n" for line in kept))

@@ -15,6 +15,9 @@ CASES = {
     "mesh not given": ("reconstruct", ["--mesh"]),
     "bad part": ("simulate --shard 5/4", ["--shard", "'5/4'", "1/4"]),
     "format not given": ("export somewhere", ["--format"]),
+    "nothing to override": ("export somewhere --format ply train.steps=3", ["train.steps=3", "august export --help"]),
+    "sampler steps": ("simulate --preset smoke evaluate.sampler_steps=1", ["evaluate.sampler_steps", "between 2 and"]),
+    "out is a file": ("simulate --preset smoke --out {tmp}/../occupied", ["--out", "is a file", "another folder"]),
     "unknown preset": ("simulate --preset huge", ["preset", "'huge'", "smoke, laptop, paper"]),
     "unknown section": ("simulate --preset smoke trian.steps=3", ["'trian'", "did you mean 'train'"]),
     "unknown field": ("train --preset smoke train.stesp=3", ["train.stesp", "did you mean 'steps'"]),
@@ -25,7 +28,7 @@ CASES = {
     "no such run": ("evaluate {tmp}/nowhere", ["{tmp}/nowhere", "august train"]),
     "no such run for demo": ("demo --run {tmp}/nowhere", ["{tmp}/nowhere", "august train"]),
     "no such data": ("train --preset smoke --data {tmp}/nowhere", ["{tmp}/nowhere", "august simulate"]),
-    "no such weights to start from": ("train --preset smoke --init {tmp}/nowhere", ["{tmp}/nowhere", "august train"]),
+    "no such data for the default": ("train", ["august_data/laptop", "august simulate --preset laptop --out"]),
     "no such source": ("export {tmp}/nowhere --format ply", ["{tmp}/nowhere", "august demo"]),
     "unknown format": ("export {tmp} --format docx", ["--format", "'docx'", "ply, npz, mat, json"]),
 }
@@ -41,6 +44,7 @@ def run(capsys, words):
 @pytest.mark.parametrize("name", CASES)
 def test_bad_input_is_refused_helpfully(capsys, tmp_path, monkeypatch, name):
     monkeypatch.chdir(tmp_path)
+    (tmp_path / "../occupied").touch()
     line, wanted = CASES[name]
     status, out, err = run(capsys, line.format(tmp=tmp_path).split())
     assert status == 2

@@ -67,6 +67,9 @@ def test_train_leaves_a_run(home):
     (["array.nx=8"], ["array.nx=8", "made with 4"]),
     (["data.seed=3"], ["data.seed=3", "made with 0"]),
     (["train.batch=64"], ["train.batch", "64"]),
+    (["data.count=80"], ["data.count=80", "made with 40"]),
+    (["model.scheme=refchannel"], ["model.scheme=refchannel", "choose august"]),
+    (["--init", "nowhere"], ["nowhere/config.yaml", "august train"]),
 ])
 def test_train_wants_what_the_data_are(capsys, home, tmp_path, extra, wanted):
     message = refused(capsys, "train", "--data", home / "data", "--out", tmp_path / "run", *extra)
@@ -174,6 +177,8 @@ def test_reconstruct_a_drone_from_a_file(capsys, home, mesh, tmp_path):
     (["--unit", "mm", "--up", "w"], ["up='w'"]),
     (["--unit", "mm", "--position", "40,5,3"], ["position", "40", "x 3 to 7", "--position 5,6,3.5"]),
     (["--unit", "mm", "--roll", "60"], ["roll", "60", "30 degrees"]),
+    (["--unit", "mm", "--roll", "26", "--pitch", "30"], ["by 38.9 degrees", "30 degrees"]),
+    (["--unit", "mm", "--pitch", "35", "--yaw", "45"], ["by 35 degrees", "30 degrees"]),
     (["--unit", "mm", "--permittivity", "12"], ["permittivity", "12", "1.5 to 5"]),
     (["--unit", "mm", "--conductivity", "2"], ["conductivity", "0.001 to 0.01 S/m"]),
 ])
