@@ -37,6 +37,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -259,21 +260,43 @@ def _body_channel(body, array, receiver, rotation, translation, contrast):
     for tone, frequency in enumerate(body.frequencies_hz):
         chi = contrasts[tone]
         gain = (wavenumber(frequency) ** 2) * chi / (1.0 - chi * body.eigenvalues[tone])
-        sent, spread = _modal_fields(body, tone, array, rotation, translation)
-        heard, gather = (sent, spread) if receiver is None else _modal_fields(
+        sent, sender = _modal_fields(body, tone, array, rotation, translation)
+        heard, hearer = (sent, sender) if receiver is None else _modal_fields(
             body, tone, receiver, rotation, translation)
         # Fields are O(0.1/r) and the cells' volumes O(1e-6): the product stays far above the smallest float32.
-        channel = heard.T @ (gain[:, None] * sent)
-        if gather is not None:
-            channel = gather @ channel
-        if spread is not None:
-            channel = channel @ spread.T
+        channel = _product(heard, gain[:, None] * sent)
+        if hearer is not None:
+            channel = hearer.over_rows(channel)
+        if sender is not None:
+            channel = sender.over_rows(channel.T).T
         channels.append(channel if receiver is not None else 0.5 * (channel + channel.T))
     return channels[0] if body.single else jnp.stack(channels)
 
 
+class _Aperture(NamedTuple):
+    """How n antennas determine all N_b: by ``spread`` (N_b, n) real, once ``phases`` (N_b,) are taken out."""
+
+    chosen: np.ndarray
+    spread: np.ndarray
+    phases: jax.Array
+
+    def over_rows(self, values):
+        """(n, m) to (N_b, m); real products, because the compiler's small complex ones are slow."""
+        flat = self.phases[self.chosen].conj()[:, None] * values
+        parts = jnp.asarray(self.spread, jnp.float32) @ jnp.concatenate([flat.real, flat.imag], axis=1)
+        return self.phases[:, None] * jax.lax.complex(*jnp.split(parts, 2, axis=1))
+
+
+def _product(left, right):
+    """left^T right of (K, n) and (K, m) complex, by one real product of all parts."""
+    n, m = left.shape[1], right.shape[1]
+    left, right = (jnp.concatenate([each.real, each.imag], axis=1) for each in (left, right))
+    parts = left.T @ right
+    return jax.lax.complex(parts[:n, :m] - parts[n:, m:], parts[:n, m:] + parts[n:, :m])
+
+
 def _modal_fields(body, tone, array, rotation, translation):
-    """F of some antennas in the body's modes (n, K), and how they determine all: (N_b, K), or None where K = N_b."""
+    """F of some antennas in the body's modes (K, n), and how they determine all: None where they are all."""
     frequency = body.frequencies_hz[tone]
     k = wavenumber(frequency)
     planar = isinstance(array, PlanarArray)
@@ -298,8 +321,7 @@ def _modal_fields(body, tone, array, rotation, translation):
     r = jnp.sqrt(jnp.sum(to_centre**2, axis=-1))
     far = jnp.sqrt(jnp.sum(base**2))
     path = jnp.sum(elements * (elements - 2.0 * base), axis=-1) / (r + far)
-    phase = jnp.exp(1j * k * path)
-    return modal, phase[:, None] * jnp.asarray(spread, jnp.complex64) * phase[chosen].conj()
+    return modal, _Aperture(chosen, spread, jnp.exp(1j * k * path))
 
 
 @lru_cache(maxsize=64)
