@@ -62,8 +62,9 @@ def evaluate(networks: Networks, config: Config, *, seed: int,
     All SNRs share the samples, their predictions and the draws of the noise, so that only the SNR makes a difference.
 
     ``bound_m`` is the mean position error that the Fisher information of the first 100 samples leaves to an
-    estimator that knows the airframe but not the complex gain, under a Gaussian prior of the configuration's spread
-    (:mod:`august_jax.physics.information`); ``bound_mde`` is half the mean square of the tilt error that it leaves.
+    estimator that knows the airframe but neither heading nor complex gain, under a Gaussian prior of the
+    configuration's spread (:mod:`august_jax.physics.information`); ``bound_mde`` is half the mean square of the tilt
+    error that it leaves.
 
     Returns:
         For each SNR and scheme a row ``scheme``, ``snr_db``, ``mpe_m`` [m], ``mde``, ``wd_db``, ``mcd_db`` [dB re
