@@ -33,8 +33,14 @@ def far_field(cells, contrast, wave):
     cells = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), cells)
     sites = np.asarray(cells.sites(), float)
     incident = incident_field(sites, wave).reshape(-1, 1).astype(np.complex64)
-    solution = solve_dense(interaction_matrix(cells, K), contrast, weighted_fields(cells, jnp.asarray(incident)))
-    return radiated(sites, np.asarray(weighted_fields(cells, solution.polarization)).reshape(-1, 3))
+    return radiated(sites, np.asarray(moments(cells, contrast, incident)).reshape(-1, 3))
+
+
+@jax.jit
+def moments(cells, contrast, incident):
+    """Dipole moments (3N, 1) of cells in an incident field."""
+    solution = solve_dense(interaction_matrix(cells, K), contrast, weighted_fields(cells, incident))
+    return weighted_fields(cells, solution.polarization)
 
 
 def incident_field(points, wave):
