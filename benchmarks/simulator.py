@@ -313,7 +313,7 @@ def paper_set(args) -> list[dict]:
     tracks = fly_many(jax.random.split(jax.random.key(0), flights), config.flight)
     rotations, places = (part.reshape(-1, *part.shape[2:])[: args.count]
                          for part in (tracks.rotations, tracks.positions))
-    size = 4 * args.batch  # larger products are a little faster
+    size = args.batch
     for first in range(0, args.count, size):
         turns, where = (part[first : first + size].astype(jnp.float32) for part in (rotations, places))
         if len(turns) < size:  # one shape, one compilation
