@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import difflib
+import errno
 import json
 import os
 import re
@@ -52,6 +53,7 @@ class _Command(NamedTuple):
     summary: str
     arguments: Callable[[argparse.ArgumentParser], None]
     run: Callable[[argparse.Namespace], dict[str, Any]]
+    configured: bool = True  # takes --preset and overrides
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -87,7 +89,8 @@ def _message(error: Exception) -> str:
     """At most six lines for any error: those meant for the user as they are, others with their kind."""
     text = str(error).strip()
     if isinstance(error, OSError):
-        text = f"{error.filename or 'disk'}: {error.strerror or text}; make room there, or choose another --out"
+        text = f"{error.filename}: {error.strerror}" if error.filename else text
+        text += "; make room there, or choose another --out" if error.errno == errno.ENOSPC else ""
     elif isinstance(error, ImportError):
         text = f"{text}; install again: pip install -c constraints.txt ."
     elif not isinstance(error, (ValueError, FloatingPointError, _UsageError)):
@@ -122,14 +125,13 @@ def _parse(argv: list[str]) -> argparse.Namespace | None:
     command = _COMMANDS[name]
     parser = _Parser(prog=f"august {name}", description=command.summary, allow_abbrev=False)
     command.arguments(parser)
-    configured = parser.get_default("configured") is not False
-    if configured:
+    if command.configured:
         parser.add_argument("--preset", metavar="NAME", help=f"one of {', '.join(configuration.PRESETS)}")
     parser.add_argument("--out", metavar="DIR", help="where to write")
     parser.add_argument("--json", action="store_true", help="the result as JSON on stdout")
     parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
-    parser.add_argument("rest", nargs="*", metavar="section.field=value", 
-                        help="overrides of the configuration" if configured else argparse.SUPPRESS)
+    parser.add_argument("rest", nargs="*", metavar="section.field=value",
+                        help="overrides of the configuration" if command.configured else argparse.SUPPRESS)
     try:
         args = parser.parse_intermixed_args(_join_signed(argv[1:]))
     except SystemExit:
@@ -137,7 +139,7 @@ def _parse(argv: list[str]) -> argparse.Namespace | None:
     args.command = name
     args.overrides = [text for text in args.rest if _ASSIGNMENT.match(text)]
     args.rest = [text for text in args.rest if not _ASSIGNMENT.match(text)]
-    if args.overrides and not configured:
+    if args.overrides and not command.configured:
         raise _UsageError(f"{args.overrides[0]!r}: august {name} has no configuration to override\n"
                           f"see: august {name} --help")
     wanted = getattr(args, "places", 0)
@@ -270,7 +272,7 @@ def _scheme_table(rows: Sequence[dict[str, Any]], snr: bool) -> str:
 
 
 def _doctor_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.set_defaults(configured=False)
+    pass
 
 
 def _doctor(args: argparse.Namespace) -> dict[str, Any]:
@@ -302,7 +304,6 @@ def _demo(args: argparse.Namespace) -> dict[str, Any]:
     from august_jax import pipeline
 
     started = time.monotonic()
-    _folder(args, "august_demo")
     networks, config = _weights(args, args.run)
     shot = pipeline.draw_flight(config, args.seed, args.slots, args.airframe)
     _note(f"{shot.airframe.name} flies {args.slots} slots, permittivity {shot.permittivity:.2f}, "
@@ -359,6 +360,7 @@ def _sense(args, command: str, networks, config: Config, shot, started: float, f
     from august_jax.export import write_ply, write_record
     from august_jax.files import write_text
 
+    out = _folder(args, f"august_{command}")
     track = pipeline.sense(networks, config, shot, seed=args.seed, snr_db=args.snr, progress=_note)
     scores = evaluation.score_track(track, config)
     seconds = time.monotonic() - started
@@ -369,7 +371,6 @@ def _sense(args, command: str, networks, config: Config, shot, started: float, f
         f"{100 * mean['august']['mpe_m']:.1f} cm from where it is{' on average' if slots > 1 else ''}; "
         f"the prediction it starts from is {100 * mean['prior']['mpe_m']:.1f} cm off."
     )
-    out = _folder(args, f"august_{command}")
     title = f"{shot.airframe.name} at {args.snr:g} dB, seen by {config.array.count} antennas"
     setup = [
         ("weights", networks.name),
@@ -436,11 +437,12 @@ def _train_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _train(args: argparse.Namespace) -> dict[str, Any]:
-    folder = Path(args.data or f"august_data/{args.preset or 'laptop'}")
+    preset = args.preset or "laptop"
+    folder = Path(args.data or f"august_data/{preset}")
     if not (folder / "manifest.json").exists():
-        wanted = _config(args).preset  # other mistakes are told first
+        _config(args)  # other mistakes are told first
         raise ConfigError(f"--data: {folder} holds no data (no manifest.json)\n"
-                          f"make them: august simulate --preset {wanted} --out {folder}")
+                          f"make them: august simulate --preset {preset} --out {folder}")
     from august_jax import pipeline
     from august_jax.data import Dataset, TrainingBatches
     from august_jax.evaluation import validator
@@ -511,7 +513,7 @@ def _evaluate(args: argparse.Namespace) -> dict[str, Any]:
 
 
 def _export_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.set_defaults(places=1, configured=False)
+    parser.set_defaults(places=1)
     parser.usage = f"{parser.prog} SOURCE --format FORMAT [options]"
     parser.add_argument("--format", required=True, metavar="FORMAT", help="ply, npz, mat or json")
     parser.add_argument("--index", type=int, default=-1, metavar="N",
@@ -526,7 +528,7 @@ def _export(args: argparse.Namespace) -> dict[str, Any]:
     if not args.rest:
         raise _UsageError("SOURCE is missing: a folder that august demo, reconstruct or simulate wrote\n"
                           "see: august export --help")
-    source, out = Path(args.rest[0]), Path(args.out or "august_export")
+    source, out = Path(args.rest[0]), _folder(args, "august_export")
     index, record, clouds = _source(source, args.index)
     name = f"{source.resolve().name}_{index:05d}"
     if args.format == "ply":
@@ -575,13 +577,14 @@ def _place(index: int, count: int, source: Path) -> int:
 
 
 _COMMANDS = {
-    "doctor": _Command("check this installation", _doctor_arguments, _doctor),
+    "doctor": _Command("check this installation", _doctor_arguments, _doctor, configured=False),
     "demo": _Command("fly a short track and reconstruct it with the shipped weights", _demo_arguments, _demo),
     "simulate": _Command("make a data set: flights, channels, clouds", _simulate_arguments, _simulate),
     "train": _Command("train the networks on a data set", _train_arguments, _train),
     "evaluate": _Command("accuracy over SNR beside the baselines", _evaluate_arguments, _evaluate),
     "reconstruct": _Command("your own drone from a mesh file, at one pose", _reconstruct_arguments, _reconstruct),
-    "export": _Command("a result or a sample as PLY, NPZ, MATLAB or JSON", _export_arguments, _export),
+    "export": _Command("a result or a sample as PLY, NPZ, MATLAB or JSON", _export_arguments, _export,
+                       configured=False),
 }
 
 if __name__ == "__main__":

@@ -122,6 +122,7 @@ def unit_information(samples: Mapping[str, np.ndarray], targets: Sequence[Target
         return None
     array = PlanarArray(config.array.nx, config.array.nz, config.array.frequency_hz)
     widths = tuple(np.deg2rad(config.signal.beam_width_deg))
+    repeats = (config.signal.symbols or array.count) / array.count  # fisher_information counts one symbol an antenna
     found = []
     for kind, target in enumerate(targets):
         mine = np.flatnonzero(samples["airframe"][:_BOUNDED] == kind)
@@ -129,8 +130,6 @@ def unit_information(samples: Mapping[str, np.ndarray], targets: Sequence[Target
             books = [roi_codebook(array.nx, array.nz, direction_angles(jnp.asarray(place)), widths,
                                   mirror=config.signal.mirror_beams) for place in samples["predicted"][mine]]
             lit = np.stack([np.asarray(book @ book.conj().T) for book in books])
-            # fisher_information counts one symbol an antenna.
-            repeats = (config.signal.symbols or array.count) / array.count
             found.append(fisher_information(
                 target.body, array, samples["rotation"][mine], samples["position"][mine],
                 samples["permittivity"][mine], samples["conductivity"][mine], repeats, illumination=lit))

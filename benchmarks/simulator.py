@@ -19,9 +19,9 @@ Parts:
     channels of the paper's flights, five airframes.
 
 What is compared is timed in turn and by its median; errors are relative to LU in complex128. torchgdm is no
-dependency: `pip install torchgdm==0.61` adds its columns, without it they stay empty. ``rigid`` and ``moving`` take a few minutes on
-two cores; the others wait for bodies to be factored the first time, half a minute for 1000 cells, two and a half
-minutes for 4000.
+dependency: `pip install torchgdm==0.61` adds its columns, without it they stay empty. ``rigid`` and ``moving`` take a
+few minutes on two cores; the others wait for bodies to be factored the first time, half a minute for 1000 cells, two
+and a half minutes for 4000.
 """
 
 from __future__ import annotations
@@ -313,12 +313,11 @@ def paper_set(args) -> list[dict]:
     tracks = fly_many(jax.random.split(jax.random.key(0), flights), config.flight)
     rotations, places = (part.reshape(-1, *part.shape[2:])[: args.count]
                          for part in (tracks.rotations, tracks.positions))
-    size = args.batch
-    for first in range(0, args.count, size):
-        turns, where = (part[first : first + size].astype(jnp.float32) for part in (rotations, places))
-        if len(turns) < size:  # one shape, one compilation
-            turns, where = (jnp.concatenate([part] * size)[:size] for part in (turns, where))
-        fast(bodies[(first // size) % len(bodies)], turns, where).block_until_ready()
+    for first in range(0, args.count, args.batch):
+        turns, where = (part[first : first + args.batch].astype(jnp.float32) for part in (rotations, places))
+        if len(turns) < args.batch:  # one shape, one compilation
+            turns, where = (jnp.concatenate([part] * args.batch)[: args.batch] for part in (turns, where))
+        fast(bodies[(first // args.batch) % len(bodies)], turns, where).block_until_ready()
     spent = time.perf_counter() - start
     sizes = [cells.count for cells in lattices]
     print(f"set     {args.count} channels of {len(bodies)} airframes ({min(sizes)} to {max(sizes)} cells): {spent:.0f} "

@@ -27,8 +27,6 @@ from august_jax.data.generate import Sample, generate, prepare_targets
 from august_jax.files import write_text
 
 _PIECE = 2000  # rows generated between two progress lines
-
-
 _FORMAT = 2  # of the fields and their meaning; in the digest, so that formats never mix
 
 
