@@ -29,7 +29,9 @@ from august_jax.models import reconstruct
 from august_jax.physics import PlanarArray, fisher_information, mean_position_error, tilt_bound
 from august_jax.physics.information import Prior
 from august_jax.pipeline import Networks, Track, rotor_plane_normal
-from august_jax.scene import Airframe, resolve_airframe, rotation_from_euler, transform
+from august_jax.scene import (
+    Airframe, from_cloud, position_estimate, resolve_airframe, rotation_from_euler, transform,
+)
 from august_jax.signal.beams import direction_angles, roi_codebook
 
 ABOUT = {
@@ -94,8 +96,8 @@ def evaluate(networks: Networks, config: Config, *, seed: int,
             piece = {name: batch[name][start:start + _PIECE] for name in ("channel", "predicted", "snr_db")}
             cloud = reconstruct(networks.graphdef, networks.state, jax.random.fold_in(cloud_key, start), **piece,
                                 count=config.target.points, sampler=config.evaluate.sampler,
-                                steps=config.evaluate.sampler_steps)[..., :3]
-            clouds.append(config.region.scale_m * cloud + piece["predicted"][:, None])
+                                steps=config.evaluate.sampler_steps)
+            clouds.append(from_cloud(cloud, piece["predicted"], config.region).points)
             normals.append(_normals(jax.random.fold_in(normal_key, start), clouds[-1]))
         answer = {"cloud": jnp.concatenate(clouds), "normal": jnp.concatenate(normals)}
         answer["position"] = jnp.mean(answer["cloud"], axis=1)
@@ -286,7 +288,7 @@ def validator(dataset: Dataset, config: Config, count: int = 256) -> Callable[..
         cloud = reconstruct(graphdef, state, key, batch["channel"], batch["predicted"], batch["snr_db"],
                             count=min(128, config.target.points), sampler=config.evaluate.sampler,
                             steps=config.evaluate.sampler_steps)
-        estimate = batch["predicted"] + config.region.scale_m * jnp.mean(cloud[..., :3], axis=1)
+        estimate = position_estimate(cloud, batch["predicted"], config.region)
         return {"validation_mpe_m": float(metrics.mpe_m(estimate, position)),
                 "validation_prior_m": float(metrics.mpe_m(batch["predicted"], position))}
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from august_jax.evaluation import ABOUT
 from august_jax.files import replacing
 
 if TYPE_CHECKING:
@@ -30,14 +31,6 @@ STYLES = {
     "resampling": {"color": "#7a8894", "ls": ":"},
 }
 """Line styles of the schemes of :mod:`august_jax.evaluation`; others get the next colour of the cycle."""
-
-LABELS = {
-    "august": "AUGUST",
-    "prior": "answering the prediction",
-    "up": "always up",
-    "mean_shape": "mean shape at the prediction",
-    "resampling": "true cloud sampled anew (floor)",
-}
 
 
 def training_curves(metrics_jsonl: str | Path, png: str | Path) -> None:
@@ -133,7 +126,7 @@ def evaluation_curves(rows: Sequence[Mapping[str, Any]], png: str | Path, *, tit
         for scheme in schemes:
             pairs = {row["snr_db"]: row[metric] for row in rows if row["scheme"] == scheme and row[metric] is not None}
             if pairs:
-                axes.plot(*np.array(sorted(pairs.items())).T, label=LABELS.get(scheme, scheme),
+                axes.plot(*np.array(sorted(pairs.items())).T, label=ABOUT.get(scheme, scheme),
                           **{"lw": 1.6, **STYLES.get(scheme, {"marker": "s", "ms": 4})})
         column = {"mpe_m": "bound_m", "mde": "bound_mde"}.get(metric)
         bound = sorted({(row["snr_db"], row[column]) for row in rows if row[column] is not None}) if column else []

@@ -47,14 +47,17 @@ def test_the_box_spans_minus_one_to_one():
     assert snr_features(np.zeros(2, np.float32), 10).shape == (2, 21)
 
 
-def test_paper_features_are_the_normalised_channel():
-    channel = channels(np.array([0.1, 0.0, 0.0]))
-    features = np.asarray(paper_features(channel))
-    np.testing.assert_allclose(np.linalg.norm(features, axis=-1), 1.0, rtol=1e-5)
-    half = features.shape[1] // 2
-    back = (features[:, :half] + 1j * features[:, half:]).reshape(channel.shape)
-    norm = np.linalg.norm(channel.reshape(2, -1), axis=-1)[:, None, None, None]
-    np.testing.assert_allclose(back, channel / norm, atol=1e-6)
+def test_paper_features_are_the_normalised_channel_and_its_level():
+    channel = 1e-6 * channels(np.zeros(3))
+    features = np.asarray(paper_features(channel, PREDICTED))
+    size = channel[0].size
+    np.testing.assert_allclose(np.linalg.norm(features[:, :-1], axis=1), 1.0, rtol=1e-5)
+    flat = np.asarray(channel).reshape(-1, size)
+    back = features[:, :size] + 1j * features[:, size:-1]
+    np.testing.assert_allclose(back, flat / np.linalg.norm(flat, axis=1, keepdims=True), atol=1e-6)
+    louder = np.asarray(paper_features(10.0 * channel, PREDICTED))
+    np.testing.assert_allclose(louder[:, :-1], features[:, :-1], atol=1e-6)
+    np.testing.assert_allclose(louder[:, -1] - features[:, -1], 4.0, atol=1e-4)
 
 
 def test_a_target_at_the_prediction_is_nearly_its_leading_coefficient():
@@ -98,7 +101,7 @@ def test_tones_tell_the_range_beyond_the_prediction():
 
 def test_a_silent_channel_gives_finite_features():
     assert np.isfinite(roi_features(np.zeros((2, 1, 3, 3), np.complex64), PREDICTED, np.ones(1, "f"))).all()
-    assert np.isfinite(paper_features(np.zeros((2, 1, 3, 3), np.complex64))).all()
+    assert np.isfinite(paper_features(np.zeros((2, 1, 3, 3), np.complex64), PREDICTED)).all()
 
 
 @pytest.mark.parametrize("encoder, wanted", [("paper", r"\(batch, 1, 24, 24\)$"), ("roi", r"24, 24\) or .*15, 15\)$")])

@@ -8,6 +8,7 @@ import pytest
 from made_up_track import made_up_track
 
 from august_jax import plotting
+from august_jax.evaluation import ABOUT
 
 
 def size(png):
@@ -57,7 +58,7 @@ def test_evaluation_curves_leave_out_what_is_not_defined(tmp_path, drawn):
             {"august": {"mpe_m": 0.1, "mde": 0.02, "wd_db": -20.0, "mcd_db": -30.0}, "prior": {"mpe_m": 0.48}}.items()]
     plotting.evaluation_curves(rows, tmp_path / "evaluation.png", title="made up")
     lines = [{line.get_label(): line.get_ydata().tolist() for line in axes.lines} for axes in drawn[0].axes]
-    august, prior = (plotting.LABELS[name] for name in ("august", "prior"))
+    august, prior = (ABOUT[name] for name in ("august", "prior"))
     assert lines == [{august: [0.1, 0.1], prior: [0.48, 0.48], "bound": [0.02, 0.02]},
                      {august: [0.02, 0.02], "bound": [0.001, 0.001]}, {august: [-20.0, -20.0]},
                      {august: [-30.0, -30.0]}]

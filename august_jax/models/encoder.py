@@ -6,7 +6,8 @@ F_enc a residual MLP of Linear-LeakyReLU pairs, w1 and w2 MLPs of two layers. (T
 product starts near h_vec itself and not near zero.) What enters as v is the choice ``encoder``:
 
 - ``paper``: the real and imaginary parts of vec(H_est), divided by its Frobenius norm over all tones (the paper
-  does not scale; the entries are near 1e-6, of which a network initialised as usual sees nothing).
+  does not scale; the entries are near 1e-6, of which a network initialised as usual sees nothing), and the norm as a
+  level beside them.
 - ``roi``: features of A = U^H H conj(U), the channel in the field subspace of the region (`signal.roi`): the spherical
   phases of q_pre are taken out and Legendre polynomials over the aperture are left. The entries vary slowly with the
   target's offset from q_pre, where those of H turn through hundreds of radians. The centre is first moved from q_pre
@@ -30,11 +31,19 @@ from august_jax.signal import roi
 _GAINS = (1.0, 10.0, 100.0)
 
 
-def paper_features(channel: jax.Array) -> jax.Array:
-    """Re and Im of vec(H)/||H||_F, (B, 2 F N^2), of channels (B, F, N, N)."""
+def level(norm: jax.Array, distance: jax.Array) -> jax.Array:
+    """log10(||H|| r^2 / [m^2]), centred and scaled by rough constants: what is left of an echo's strength when two-way
+    spreading over the distance r [m] is taken out tells the target's size and material."""
+    return 4.0 * (jnp.log10(jnp.maximum(norm, 1e-30) * distance**2) + 1.7)
+
+
+def paper_features(channel: jax.Array, predicted: jax.Array) -> jax.Array:
+    """Re and Im of vec(H)/||H||_F and :func:`level` at |q_pre|, (B, 2 F N^2 + 1), of channels (B, F, N, N) under
+    predictions (B, 3) [m]."""
     flat = channel.reshape(channel.shape[0], -1)
-    flat = flat / jnp.maximum(jnp.linalg.norm(flat, axis=-1, keepdims=True), 1e-30)
-    return jnp.concatenate([flat.real, flat.imag], axis=-1)
+    norm = jnp.maximum(jnp.linalg.norm(flat, axis=-1, keepdims=True), 1e-30)
+    distance = jnp.linalg.norm(predicted, axis=-1, keepdims=True)
+    return jnp.concatenate([flat.real / norm, flat.imag / norm, level(norm, distance)], axis=-1)
 
 
 def roi_features(coefficients: jax.Array, predicted: jax.Array, wavenumbers: np.ndarray) -> jax.Array:
@@ -46,8 +55,7 @@ def roi_features(coefficients: jax.Array, predicted: jax.Array, wavenumbers: np.
     asinh(g x) for the gains g = 1, 10, 100: large ones keep their detail in the first, small ones count in the last.
     Beside them, for each tone of wavenumber k (F,) [rad/m]: the cosine and sine of the phase of A_00 e^{-2jk|q_pre|}
     (the first tone) or of its difference from the first tone's, which tells by how much the range exceeds |q_pre|;
-    and log10(||A|| |q_pre|^2 / [m^2]), centred and scaled by rough constants: two-way spreading taken out, what is
-    left tells the target's size and material.
+    and :func:`level` of ||A|| at |q_pre|.
     """
     size = coefficients.shape[-1]
     rows, columns = np.triu_indices(size)
@@ -60,9 +68,8 @@ def roi_features(coefficients: jax.Array, predicted: jax.Array, wavenumbers: np.
     distance = jnp.linalg.norm(predicted, axis=-1, keepdims=True)
     phase = lead * jnp.exp(-2j * jnp.asarray(wavenumbers, distance.dtype) * distance)
     phase = jnp.concatenate([phase[:, :1], phase[:, 1:] * phase[:, :1].conj()], axis=-1)
-    level = 4.0 * (jnp.log10(norm * distance**2) + 1.7)
     batch = coefficients.shape[0]
-    return jnp.concatenate([scaled.reshape(batch, -1), phase.real, phase.imag, level], axis=-1)
+    return jnp.concatenate([scaled.reshape(batch, -1), phase.real, phase.imag, level(norm, distance)], axis=-1)
 
 
 class ChannelInput(nnx.Module):
@@ -78,7 +85,7 @@ class ChannelInput(nnx.Module):
         self.antennas = config.array.count
         self.orders = roi.legendre_basis(config.array.nx, config.array.nz).shape[1]
         if config.model.encoder == "paper":
-            self.size = 2 * tones * self.antennas**2
+            self.size = 2 * tones * self.antennas**2 + 1
         else:
             self.size = tones * (len(_GAINS) * self.orders * (self.orders + 1) + 3) + 3
 
@@ -86,7 +93,7 @@ class ChannelInput(nnx.Module):
         """v (B, size) of channels (B, F, N_b, N_b) or, for ``roi``, also of coefficients (B, F, K, K)."""
         channel, centre = self.centred(channel, predicted)
         if self.config.model.encoder == "paper":
-            return paper_features(channel)
+            return paper_features(channel, predicted)
         offset = (centre - predicted) / self.config.region.scale_m
         return jnp.concatenate([offset, roi_features(channel, centre, self._wavenumbers())], axis=-1)
 
