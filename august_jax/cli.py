@@ -260,7 +260,8 @@ def _cell(value: float | None, digits: int) -> str:
 
 def _scheme_table(rows: Sequence[dict[str, Any]], snr: bool) -> str:
     """Rows of metrics as text; with ``snr``, each with its SNR and the bound."""
-    columns = [("MPE [m]", "mpe_m", 3), ("MDE", "mde", 4), ("WD [dB]", "wd_db", 1), ("MCD [dB]", "mcd_db", 1)]
+    columns = [("MPE [m]", "mpe_m", 3), ("MDE", "mde", 4), ("triples", "mde_triples", 4), ("WD [dB]", "wd_db", 1),
+               ("MCD [dB]", "mcd_db", 1)]
     if snr:
         columns = [("SNR [dB]", "snr_db", 0), *columns, ("along [m]", "along_m", 3), ("across", "across_m", 3),
                    ("bound [m]", "bound_m", 3), ("of MDE", "bound_mde", 4)]
@@ -362,7 +363,7 @@ def _sense(args, command: str, networks, config: Config, shot, started: float, f
 
     out = _folder(args, f"august_{command}")
     track = pipeline.sense(networks, config, shot, seed=args.seed, snr_db=args.snr, progress=_note)
-    scores = evaluation.score_track(track, config)
+    scores = evaluation.score_track(track, config, shot.airframe.half_wheelbase_m)
     seconds = time.monotonic() - started
     mean = {row["scheme"]: row for row in scores["schemes"]}
     slots = len(track.time_s)

@@ -13,6 +13,7 @@ import dataclasses
 import difflib
 import hashlib
 import json
+import math
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -224,7 +225,9 @@ def preset(name: str) -> Config:
     # box is 16 and 14 dB (lattices of 16 mm), which centres the link budget of 10 to 40 dBm on -1 to 31 dB.
     paper = Config(
         target=TargetConfig(half_wheelbase_m=0.35, cell_m=0.016, skin_m=0.0005),
+        flight=FlightConfig(style="dynamic"),  # `smooth` tilts by 6 degrees (median), the paper's drones by up to 30
         signal=SignalConfig(draw="power", estimator="ls"),
+        evaluate=EvaluateConfig(sampler="ancestral"),
     )
     # Heading and material hardly change within a flight: short flights show four times as many in as many samples.
     laptop = Config(
@@ -370,6 +373,8 @@ def _coerce(wanted: Any, value: Any, where: str) -> Any:
             number = float(value)  # YAML reads 1e-3 as text
         except (TypeError, ValueError):
             number = None
+        if number is not None and not math.isfinite(number):
+            raise ConfigError(f"{where}: {value!r} is not a finite number")
         if number is not None and wanted is float:
             return number
         if number is not None and number.is_integer():
@@ -397,6 +402,8 @@ _POSITIVE = (
     "model.flow_layers", "model.flow_features", "model.steps", "train.steps", "train.batch", "train.points",
     "train.log_every", "train.save_every", "evaluate.count", "evaluate.sampler_steps",
 )
+SNR_LIMIT_DB = 100.0
+"""Beyond it single precision has nothing left to tell."""
 _RANGES = (
     "target.permittivity", "target.conductivity_s_m", "signal.snr_db", "signal.power_dbm", "model.beta",
 )
@@ -422,12 +429,21 @@ def _validate(config: Config) -> None:
     for path, (low, high) in [*((path, _get(config, path)) for path in _RANGES), *boxes]:
         if not low <= high:
             raise ConfigError(f"{path}: [{low}, {high}] must not decrease")
+    reach = config.target.half_wheelbase_m + config.region.threshold_m
     checks = (
         (bool(config.target.airframes), "target.airframes", config.target.airframes, "name at least one airframe"),
         (config.target.permittivity[0] >= 1.0, "target.permittivity", config.target.permittivity, "must be at least 1"),
         (config.target.conductivity_s_m[0] >= 0.0, "target.conductivity_s_m", config.target.conductivity_s_m,
          "must not be negative"),
         (config.region.threshold_m >= 0.0, "region.threshold_m", config.region.threshold_m, "must not be negative"),
+        (config.region.scale_m >= (1.0 - 1e-6) * reach, "region.scale_m", config.region.scale_m,
+         f"must reach target.half_wheelbase_m + region.threshold_m; set region.scale_m={reach:g}"),
+        (config.target.permittivity[1] <= config.region.permittivity_max, "region.permittivity_max",
+         config.region.permittivity_max, f"must reach target.permittivity; set region.permittivity_max="
+                                         f"{config.target.permittivity[1]:g}"),
+        (config.target.conductivity_s_m[1] <= config.region.conductivity_max_s_m, "region.conductivity_max_s_m",
+         config.region.conductivity_max_s_m, f"must reach target.conductivity_s_m; set region.conductivity_max_s_m="
+                                             f"{config.target.conductivity_s_m[1]:g}"),
         (len(config.model.denoiser) > 0 and min(config.model.denoiser) > 0, "model.denoiser", config.model.denoiser,
          "needs at least one positive width"),
         (0.0 < config.model.beta[0] and config.model.beta[1] < 1.0, "model.beta", config.model.beta,
@@ -445,6 +461,12 @@ def _validate(config: Config) -> None:
          "evaluate.sampler_steps", config.evaluate.sampler_steps,
          f"must lie between 2 and model.steps ({config.model.steps}) for the sampler dpm"),
         (bool(config.evaluate.snr_db), "evaluate.snr_db", config.evaluate.snr_db, "name at least one SNR"),
+        (max(map(abs, config.evaluate.snr_db), default=0.0) <= SNR_LIMIT_DB, "evaluate.snr_db", config.evaluate.snr_db,
+         f"must lie within {SNR_LIMIT_DB:g} dB of 0"),
+        (max(map(abs, config.signal.snr_db)) <= SNR_LIMIT_DB, "signal.snr_db", config.signal.snr_db,
+         f"must lie within {SNR_LIMIT_DB:g} dB of 0"),
+        (min(config.train.learning_rate) > 0.0, "train.learning_rate", config.train.learning_rate, "must be positive"),
+        (0.0 <= config.train.ema < 1.0, "train.ema", config.train.ema, "must lie in [0, 1)"),
         (config.model.frame == "region" or config.train.weight_readout > 0, "model.frame", config.model.frame,
          "is read from the latent; set train.weight_readout above 0, or model.frame=region"),
         (config.target.skin_m <= config.target.cell_m, "target.skin_m", config.target.skin_m,

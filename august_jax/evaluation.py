@@ -1,4 +1,4 @@
-"""How accurate networks are, beside answers that need none: rows of a scheme, an SNR and the paper's four metrics.
+"""How accurate networks are, beside answers that need none: rows of a scheme, an SNR and the paper's metrics.
 
 Schemes:
 
@@ -8,12 +8,14 @@ Schemes:
 - ``mean_shape``: answers :func:`mean_shape` at q_pre; it defines WD and MCD.
 - ``resampling``: the true surface, sampled anew: the floor that the clouds' finite number of points sets.
 
-The attitude of a cloud is the plane of its rotor points (:mod:`august_jax.tracking.attitude`); the metrics are those of
-:mod:`august_jax.metrics`.
+The attitude of a cloud is the plane of its rotor points (``mde``), and, as the paper has it, the mean normal of random
+triples of them (``mde_triples``), both of :mod:`august_jax.tracking.attitude`. The metrics are those of
+:mod:`august_jax.metrics`; ``wd_size_db`` is WD with the half-wheelbase as the unit of length.
 """
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -33,6 +35,7 @@ from august_jax.scene import (
     Airframe, from_cloud, position_estimate, resolve_airframe, rotation_from_euler, transform,
 )
 from august_jax.signal.beams import direction_angles, roi_codebook
+from august_jax.tracking import rotor_points, triple_normal
 
 ABOUT = {
     "august": "the networks",
@@ -51,6 +54,8 @@ NOTE = (
 
 _FRESH = 2**30
 """Added to the seed of an evaluation, so that no seed of a training set gives the same samples."""
+_SCORED = 1 << 20
+"""Number of the stream that scores; the first children of the same seed make the samples."""
 _BOUNDED = 100
 """Samples over which the bound is averaged."""
 _PIECE = 50
@@ -66,13 +71,12 @@ def evaluate(networks: Networks, config: Config, *, seed: int,
     ``bound_m`` is the mean position error that the Fisher information of the first 100 samples leaves to an
     estimator that knows the airframe but neither heading nor complex gain, under a Gaussian prior of the
     configuration's spread (:mod:`august_jax.physics.information`); ``bound_mde`` is half the mean square of the tilt
-    error that it leaves.
+    error that it leaves. For the estimator ``dft``, whose pilots get the power but not the SNR, neither is known.
 
     Returns:
-        For each SNR and scheme a row ``scheme``, ``snr_db``, ``mpe_m`` [m], ``mde``, ``wd_db``, ``mcd_db`` [dB re
-        1 m^2], ``along_m`` and ``across_m`` (the position's root-mean-square error along the line of sight and across
-        it) [m], ``count``, ``bound_m`` [m] and ``bound_mde``; None where a scheme does not define a metric or the bound
-        is not known.
+        For each SNR and scheme a row ``scheme``, ``snr_db``, the metrics of :func:`score`, ``along_m`` and ``across_m``
+        (the position's root-mean-square error along the line of sight and across it) [m], ``count``, ``bound_m`` [m]
+        and ``bound_mde``; None where a scheme does not define a metric or the bound is not known.
     """
     count, slots = config.evaluate.count, config.flight.slots
     fresh = replace(config, data=replace(config.data, seed=_FRESH + seed))
@@ -81,25 +85,31 @@ def evaluate(networks: Networks, config: Config, *, seed: int,
     numbers = np.arange(count)
     samples = generate(fresh, numbers * slots + numbers % slots, targets)
     airframes = [target.airframe for target in targets]
-    again_key, shape_key, seen_key, cloud_key, normal_key = jax.random.split(jax.random.key(_FRESH + seed), 5)
+    root = jax.random.fold_in(jax.random.key(_FRESH + seed), _SCORED)
+    again_key, shape_key, seen_key, cloud_key, normal_key = jax.random.split(root, 5)
     again = _resampled(again_key, samples, airframes, config.target.points)
     mean = mean_shape(shape_key, airframes, config.target.points)
     truth = {"position": samples["position"], "normal": samples["rotation"][:, :, 2],
              "cloud": samples["points"] + samples["position"][:, None]}
+    size = config.target.half_wheelbase_m
     progress("bounding what any estimator could do")
-    information = unit_information(samples, targets, config)
+    predicted = observed_anew(seen_key, samples, config, config.evaluate.snr_db[0])["predicted"]  # the same at any SNR
+    information = unit_information(samples, np.asarray(predicted), targets, config)
     rows, others = [], None
     for snr_db in config.evaluate.snr_db:
         batch = observed_anew(seen_key, samples, config, snr_db)
-        clouds, normals = [], []
+        clouds, normals, triples = [], [], []
         for start in range(0, count, _PIECE):
             piece = {name: batch[name][start:start + _PIECE] for name in ("channel", "predicted", "snr_db")}
             cloud = reconstruct(networks.graphdef, networks.state, jax.random.fold_in(cloud_key, start), **piece,
                                 count=config.target.points, sampler=config.evaluate.sampler,
                                 steps=config.evaluate.sampler_steps)
             clouds.append(from_cloud(cloud, piece["predicted"], config.region).points)
-            normals.append(_normals(jax.random.fold_in(normal_key, start), clouds[-1]))
-        answer = {"cloud": jnp.concatenate(clouds), "normal": jnp.concatenate(normals)}
+            both = _normals(jax.random.fold_in(normal_key, start), clouds[-1])
+            normals.append(both[0])
+            triples.append(both[1])
+        answer = {"cloud": jnp.concatenate(clouds), "normal": jnp.concatenate(normals),
+                  "triples": jnp.concatenate(triples)}
         answer["position"] = jnp.mean(answer["cloud"], axis=1)
         if others is None:
             others = baselines(batch["predicted"], mean, again, normal_key)
@@ -110,17 +120,18 @@ def evaluate(networks: Networks, config: Config, *, seed: int,
             tilts = tilt_bound(known, samples["rotation"][_bounded(samples), :, 2], prior)
             bounds = {"bound_m": float(np.mean(mean_position_error(known, prior))),
                       "bound_mde": float(np.mean(0.5 * tilts**2))}  # 1 - cos of small angles
-        rows += [{"scheme": scheme, "snr_db": snr_db, **score(each, truth), **_split(each, truth), "count": count,
-                  **bounds} for scheme, each in scored.items()]
+        rows += [{"scheme": scheme, "snr_db": snr_db, **score(each, truth, size), **_split(each, truth),
+                  "count": count, **bounds} for scheme, each in scored.items()]
         progress(f"SNR {snr_db:g} dB: MPE {rows[-len(scored)]['mpe_m']:.3f} m")
     return rows
 
 
-def unit_information(samples: Mapping[str, np.ndarray], targets: Sequence[Target], config: Config) -> np.ndarray | None:
+def unit_information(samples: Mapping[str, np.ndarray], predicted: np.ndarray, targets: Sequence[Target],
+                     config: Config) -> np.ndarray | None:
     """Fisher information (n, 10, 10) of the first samples, airframe by airframe, at an SNR of 1, pilots of the RoI
-    about q_pre; it grows in proportion to the SNR. None where the data's solver is not the one whose channel can be
-    differentiated here."""
-    if any(target.body is None for target in targets):
+    about ``predicted`` (B, 3) [m]; it grows in proportion to the SNR. None for the estimator ``dft``, which sends
+    others, and where the data's solver is not the one whose channel can be differentiated here."""
+    if config.signal.estimator == "dft" or any(target.body is None for target in targets):
         return None
     array = PlanarArray(config.array.nx, config.array.nz, config.array.frequency_hz)
     widths = tuple(np.deg2rad(config.signal.beam_width_deg))
@@ -130,7 +141,7 @@ def unit_information(samples: Mapping[str, np.ndarray], targets: Sequence[Target
         mine = np.flatnonzero(samples["airframe"][:_BOUNDED] == kind)
         if len(mine):
             books = [roi_codebook(array.nx, array.nz, direction_angles(jnp.asarray(place)), widths,
-                                  mirror=config.signal.mirror_beams) for place in samples["predicted"][mine]]
+                                  mirror=config.signal.mirror_beams) for place in predicted[mine]]
             lit = np.stack([np.asarray(book @ book.conj().T) for book in books])
             found.append(fisher_information(
                 target.body, array, samples["rotation"][mine], samples["position"][mine],
@@ -156,19 +167,28 @@ def _prior(config: Config) -> Prior:
     )
 
 
-def score(answer: Mapping[str, Any], truth: Mapping[str, Any]) -> dict[str, float | None]:
+def score(answer: Mapping[str, Any], truth: Mapping[str, Any], size_m: float) -> dict[str, float | None]:
     """The metrics that ``answer`` defines by its ``position`` (B, 3), ``normal`` (B, 3) and ``cloud`` (B, M, 3) [m].
 
-    A cloud without a position of its own is one about q_pre, given as ``about``.
+    Args:
+        answer: a cloud without a position of its own is one about q_pre, given as ``about``. ``triples`` (B, 3) are
+            normals by the paper's method; a scheme without clouds of its own (``up``) answers one normal to both.
+        truth: ``position``, ``normal`` and ``cloud``.
+        size_m: half-wheelbase of the craft [m].
+
+    Returns:
+        ``mpe_m`` [m], ``mde``, ``mde_triples``, ``wd_db`` and ``mcd_db`` [dB re 1 m^2], ``wd_size_db`` [dB].
     """
     place = answer.get("position", answer.get("about"))
-    values: dict[str, float | None] = dict.fromkeys(("mpe_m", "mde", "wd_db", "mcd_db"))
+    values: dict[str, float | None] = dict.fromkeys(("mpe_m", "mde", "mde_triples", "wd_db", "wd_size_db", "mcd_db"))
     if "position" in answer:
         values["mpe_m"] = float(metrics.mpe_m(answer["position"], truth["position"]))
     if "normal" in answer:
         values["mde"] = float(metrics.mde(answer["normal"], truth["normal"]))
+        values["mde_triples"] = float(metrics.mde(answer.get("triples", answer["normal"]), truth["normal"]))
     if "cloud" in answer:
         values["wd_db"] = float(metrics.wd_db(answer["cloud"], truth["cloud"], place, truth["position"]))
+        values["wd_size_db"] = values["wd_db"] - float(20.0 * np.log10(size_m))
         values["mcd_db"] = float(metrics.mcd_db(answer["cloud"], truth["cloud"]))
     return values
 
@@ -185,17 +205,20 @@ def baselines(predicted, mean, again, key: jax.Array) -> dict[str, dict[str, Any
 
     Args:
         predicted: q_pre (B, 3) [m].
-        mean: the mean shape (M, 3) [m], about q_pre.
+        mean: the mean shape (M, 3) [m], about q_pre; None leaves its scheme out.
         again: the true clouds sampled anew, in the world (B, M, 3) [m].
         key: of the attitude estimates.
     """
     predicted, again = jnp.asarray(predicted), jnp.asarray(again)
-    return {
+    normals, triples = _normals(key, again)
+    found = {
         "prior": {"position": predicted},
         "up": {"normal": jnp.broadcast_to(jnp.array([0.0, 0.0, 1.0]), predicted.shape)},
-        "mean_shape": {"cloud": predicted[:, None] + mean, "about": predicted},
-        "resampling": {"position": jnp.mean(again, axis=1), "cloud": again, "normal": _normals(key, again)},
+        "resampling": {"position": jnp.mean(again, axis=1), "cloud": again, "normal": normals, "triples": triples},
     }
+    if mean is not None:
+        found["mean_shape"] = {"cloud": predicted[:, None] + mean, "about": predicted}
+    return {scheme: found[scheme] for scheme in ABOUT if scheme in found}
 
 
 def mean_shape(key: jax.Array, airframes: Sequence[Airframe], count: int) -> jax.Array:
@@ -212,8 +235,11 @@ def mean_shape(key: jax.Array, airframes: Sequence[Airframe], count: int) -> jax
     return jnp.stack(points, axis=1).reshape(-1, 3)[:count]
 
 
-def score_track(track: Track, config: Config) -> dict[str, Any]:
+def score_track(track: Track, config: Config, size_m: float) -> dict[str, Any]:
     """Errors of a track, slot by slot and on average, beside the baselines.
+
+    Where a mesh that the networks were trained on is not there any more, a warning says so and ``mean_shape`` is left
+    out.
 
     Returns:
         ``slots``: one entry a slot, plain numbers and lists: ``slot``, ``time_s``, ``snr_db``; ``position``,
@@ -250,12 +276,17 @@ def score_track(track: Track, config: Config) -> dict[str, Any]:
     # about the true positions: single precision keeps the digits of a centimetre better there than in the world
     about = track.position[:, None]
     truth = {"position": np.zeros_like(track.position), "normal": normal, "cloud": track.truth - about}
-    answer = {"position": estimate - track.position, "normal": track.normal_estimate, "cloud": track.points - about}
     shape_key, normal_key = jax.random.split(jax.random.key(_FRESH))
-    airframes = [resolve_airframe(name, config.target.half_wheelbase_m) for name in config.target.airframes]
-    mean = mean_shape(shape_key, airframes, config.target.points)
+    answer = {"position": estimate - track.position, "normal": track.normal_estimate, "cloud": track.points - about}
+    answer["triples"] = _normals(normal_key, jnp.asarray(answer["cloud"]))[1]
+    try:
+        airframes = [resolve_airframe(name, config.target.half_wheelbase_m) for name in config.target.airframes]
+        mean = mean_shape(shape_key, airframes, config.target.points)
+    except ValueError as error:
+        warnings.warn(f"no mean_shape to compare with, of the airframes that the weights know: {error}", stacklevel=2)
+        mean = None
     others = baselines(track.predicted - track.position, mean, track.again - about, normal_key)
-    schemes = [{"scheme": scheme, "about": ABOUT[scheme], **score(each, truth)}
+    schemes = [{"scheme": scheme, "about": ABOUT[scheme], **score(each, truth, size_m)}
                for scheme, each in {"august": answer, **others}.items()]
     return {"slots": slots, "schemes": schemes}
 
@@ -304,9 +335,15 @@ def _resampled(key: jax.Array, samples: Mapping[str, np.ndarray], airframes: Seq
 
 
 @jax.jit
-def _normals(key: jax.Array, clouds: jax.Array) -> jax.Array:
+def _normals(key: jax.Array, clouds: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Normals (B, 3) of clouds (B, M, 3): of the plane of their rotor points, and the paper's, by triples of these."""
     centred = clouds - jnp.mean(clouds, axis=1, keepdims=True)
-    return jax.vmap(rotor_plane_normal)(jax.random.split(key, len(clouds)), centred)
+
+    def both(key, cloud):
+        plane, triples = jax.random.split(key)
+        return rotor_plane_normal(plane, cloud), triple_normal(triples, cloud, weights=rotor_points(cloud))
+
+    return jax.vmap(both)(jax.random.split(key, len(clouds)), centred)
 
 
 def _angle_deg(first: np.ndarray, second: np.ndarray) -> float:

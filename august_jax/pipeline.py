@@ -267,7 +267,13 @@ def sense(networks: Networks, config: Config, scenario: Scenario, *, seed: int, 
         seed: of the first prediction, pilots, noise, samplers and labels.
         snr_db: SNR to which the power is set in each slot [dB].
         progress: takes lines of progress.
+
+    Raises:
+        ValueError: an SNR beyond what single precision can tell.
     """
+    if not abs(snr_db) <= configuration.SNR_LIMIT_DB:
+        raise ValueError(f"snr: {snr_db:g} dB is beyond {configuration.SNR_LIMIT_DB:g} dB; the weights know "
+                         f"{config.signal.snr_db[0]:g} to {config.signal.snr_db[1]:g} dB")
     start_key, label_key, again_key, slot_key = jax.random.split(jax.random.key(seed), 4)
     progress("computing the full-wave channels")
     channels = channels_along(scenario.airframe, config, scenario.rotations, scenario.positions, scenario.permittivity,

@@ -21,6 +21,7 @@ def test_paper_preset_holds_the_paper_s_numbers():
     assert (paper.model.latent, paper.model.steps, paper.model.beta) == (256, 200, (1e-4, 0.05))
     assert (paper.train.batch, paper.train.learning_rate, paper.train.points) == (256, (1e-4, 1e-5), 1000)
     assert paper.train.steps == 200 * 40_000 // 256
+    assert (paper.flight.style, paper.flight.tilt_deg, paper.evaluate.sampler) == ("dynamic", 30.0, "ancestral")
     assert (paper.region.scale_m, paper.signal.power_dbm, paper.signal.noise_dbm) == (0.85, (10.0, 40.0), -120.0)
 
 
@@ -45,6 +46,14 @@ def test_overrides_are_applied_in_order_and_typed():
     ("train.points=100000", "must not exceed target.points"),
     ("signal.symbols=3", "one symbol an antenna"),
     ("target.skin_m=0.5", "must not exceed target.cell_m"),
+    ("target.half_wheelbase_m=0.5", "set region.scale_m=1$"),
+    ("target.permittivity=[1.5, 15]", "set region.permittivity_max=15$"),
+    ("target.conductivity_s_m=[0.01, 2]", "set region.conductivity_max_s_m=2$"),
+    ("signal.noise_dbm=.nan", "not a finite number"),
+    ("evaluate.snr_db=[1000]", "within 100 dB"),
+    ("signal.snr_db=[0, 300]", "within 100 dB"),
+    ("train.learning_rate=[-1, 0]", "must be positive"),
+    ("train.ema=1.5", "must lie in"),
     ("steps=3", "unknown field"),
 ])
 def test_bad_overrides_name_the_field_and_the_way_out(text, message):

@@ -1,6 +1,7 @@
 """Samples from a key to a batch: independence of the order, the disk format, interruptions, splits, observing anew."""
 
 import json
+import shutil
 from dataclasses import replace
 
 import jax
@@ -58,6 +59,8 @@ def test_labels_lie_on_the_airframe_and_are_centred_on_the_position(folder):
 def test_shards_survive_a_kill_and_parts_make_the_whole(folder, tmp_path):
     done = data.simulate(CONFIG, tmp_path, part=(2, 2))
     assert done["written"] == 20 and list(done["shards"]) == ["shard-00001"]
+    with pytest.raises(data.DataError, match="20 of 48 samples"):
+        data.Dataset(tmp_path)
     (tmp_path / ".shard-00000.part").mkdir()  # what a killed run leaves
     assert data.simulate(CONFIG, tmp_path)["written"] == 28
     assert data.simulate(CONFIG, tmp_path)["written"] == 0
@@ -76,6 +79,8 @@ def test_other_data_are_not_overwritten(folder):
         data.simulate(override(CONFIG, ["data.seed=5"]), folder)
     with pytest.raises(data.DataError, match="shard size"):  # the same rows would be there twice
         data.simulate(override(CONFIG, ["data.shard_rows=24"]), folder)
+    with pytest.raises(data.DataError, match="data.count: 32 is less than the 48"):
+        data.simulate(override(CONFIG, ["data.count=32"]), folder)
     with pytest.raises(ValueError, match="1 <= i <= n"):
         data.simulate(CONFIG, folder, part=(3, 2))
     with pytest.raises(data.DataError, match="august simulate"):
@@ -105,6 +110,14 @@ def test_batches_follow_from_the_step(folder):
     np.testing.assert_array_equal(data.pack(stored["channel"]), estimate)
     with pytest.raises(data.DataError, match="train.batch"):
         data.TrainingBatches(dataset, replace(CONFIG, train=replace(CONFIG.train, batch=1000)))
+
+
+def test_a_manifest_whose_list_is_old_does_not_hide_a_shard(folder, tmp_path):
+    """Two parts that end together each list what they saw; a killed one lists what it began with."""
+    shutil.copytree(folder, tmp_path / "copy")
+    path = tmp_path / "copy" / "manifest.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"rows": 20, "shards": {"shard-00001": [20, 40]}}))
+    assert data.Dataset(tmp_path / "copy").count == 48
 
 
 def test_the_manifest_is_json_that_says_what_is_there(folder):

@@ -8,7 +8,7 @@ import pytest
 from made_up_track import made_up_track
 
 from august_jax import evaluation
-from august_jax.config import preset
+from august_jax.config import override, preset
 from august_jax.scene import procedural_airframe
 
 
@@ -21,19 +21,24 @@ def truth(count=3, points=50):
 def test_a_shifted_answer_errs_in_position_alone():
     true, shift = truth(), np.array([0.3, 0.0, 0.4])
     scores = evaluation.score({"position": true["position"] + shift, "normal": true["normal"],
-                               "cloud": true["cloud"] + shift}, true)
+                               "cloud": true["cloud"] + shift}, true, 0.1)
     assert scores["mpe_m"] == pytest.approx(0.5)
     assert scores["mde"] == pytest.approx(0.0, abs=1e-6)
     # clouds are compared about their own means: what is left of the shift is the position's share, 10 log10(0.5^2)
     assert scores["wd_db"] == pytest.approx(10 * np.log10(0.25), abs=1e-3)
+    assert scores["wd_size_db"] == pytest.approx(scores["wd_db"] + 20.0)  # lengths in units of a tenth of a metre
     assert scores["mcd_db"] < -100
 
 
 def test_what_an_answer_lacks_is_not_scored():
     true = truth()
-    assert evaluation.score({"normal": true["normal"]}, true) == {
-        "mpe_m": None, "mde": pytest.approx(0.0, abs=1e-6), "wd_db": None, "mcd_db": None}
-    scores = evaluation.score({"cloud": true["cloud"], "about": true["position"] + [0.0, 0.1, 0.0]}, true)
+    level = pytest.approx(0.0, abs=1e-6)
+    assert evaluation.score({"normal": true["normal"]}, true, 0.25) == {
+        "mpe_m": None, "mde": level, "mde_triples": level, "wd_db": None, "wd_size_db": None, "mcd_db": None}
+    tilted = np.tile([0.6, 0.0, 0.8], (3, 1))
+    scores = evaluation.score({"normal": true["normal"], "triples": tilted}, true, 0.25)
+    assert scores["mde"] == level and scores["mde_triples"] == pytest.approx(0.2)
+    scores = evaluation.score({"cloud": true["cloud"], "about": true["position"] + [0.0, 0.1, 0.0]}, true, 0.25)
     assert scores["mpe_m"] is None and scores["wd_db"] == pytest.approx(-20.0, abs=1e-3)
 
 
@@ -54,17 +59,29 @@ def test_mean_shape_is_level_and_has_no_heading():
 def test_a_perfect_reconstruction_scores_like_the_floor():
     track = made_up_track()
     track = replace(track, points=track.again, predicted=track.position + 0.1)
-    found = evaluation.score_track(track, preset("smoke"))
+    found = evaluation.score_track(track, preset("smoke"), 0.25)
     rows = {row["scheme"]: row for row in found["schemes"]}
-    for metric in ("mpe_m", "wd_db", "mcd_db"):
+    for metric in ("mpe_m", "wd_db", "wd_size_db", "mcd_db"):
         assert rows["august"][metric] == pytest.approx(rows["resampling"][metric], rel=1e-3)
     assert rows["prior"]["mpe_m"] == pytest.approx(0.1 * np.sqrt(3.0), rel=1e-4)
     assert rows["mean_shape"]["wd_db"] > rows["august"]["wd_db"]
 
 
+def test_meshes_that_are_gone_cost_the_mean_shape_and_no_more():
+    config = override(preset("smoke"), ["target.airframes=[quad_x, gone.ply]"])
+    with pytest.warns(UserWarning, match="mean_shape.*gone.ply"):
+        found = evaluation.score_track(made_up_track(), config, 0.25)
+    assert [row["scheme"] for row in found["schemes"]] == ["august", "prior", "up", "resampling"]
+
+
+def test_pilots_that_light_all_directions_have_no_bound():
+    config = override(preset("smoke"), ["signal.estimator=dft"])
+    assert evaluation.unit_information({}, np.zeros((0, 3)), [], config) is None
+
+
 def test_slots_tell_angles_and_distances():
     track = made_up_track()
-    slot = evaluation.score_track(track, preset("smoke"))["slots"][1]
+    slot = evaluation.score_track(track, preset("smoke"), 0.25)["slots"][1]
     # the made-up craft leans by 5 degrees and 20 more a second, and its slots last 0.2 s
     assert slot["tilt_deg"] == pytest.approx(9.0) and slot["normal_error_up_deg"] == pytest.approx(9.0)
     assert slot["position_error_m"] == pytest.approx(np.linalg.norm(track.points[1].mean(axis=0) - track.position[1]))

@@ -23,6 +23,8 @@ from august_jax.signal.estimation import observe, observe_roi
 
 SPLITS = ("train", "validation", "test")
 Batch = dict[str, jax.Array]
+_OBSERVED = 1 << 20
+"""Number of the stream that observes anew; small ones of the same seed are the networks' and the training step's."""
 
 
 class Dataset:
@@ -34,7 +36,8 @@ class Dataset:
         flights: flight number of each row (count,).
 
     Raises:
-        DataError: no manifest, no rows, or a shard that is damaged.
+        DataError: no manifest, fewer rows than wanted (a run that continues later would see others), or a shard that
+            is damaged.
     """
 
     def __init__(self, folder: str | Path):
@@ -49,9 +52,9 @@ class Dataset:
             except (OSError, ValueError) as error:
                 raise DataError(f"{folder / name}: {error}; remove it and run `august simulate` again") from None
             self._shards.append(fields)
-        if not self._shards:
-            raise DataError(f"{folder}: holds no finished shard; run `august simulate --preset "
-                            f"{self.config.preset} --out {folder}` to its end")
+        if manifest["rows"] < manifest["wanted"]:
+            raise DataError(f"{folder}: holds {manifest['rows']} of {manifest['wanted']} samples; run the `august simulate` "
+                            "that made them once more: it makes what is missing")
         self._starts = np.cumsum([0, *(len(fields["flight"]) for fields in self._shards)])
         self.count = int(self._starts[-1])
         self.flights = np.concatenate([fields["flight"] for fields in self._shards])
@@ -84,7 +87,7 @@ class TrainingBatches:
                 f"train.batch: {config.train.batch} is more than the {len(self._places)} training rows; "
                 "simulate more samples or take a smaller batch"
             )
-        self._key = jax.random.fold_in(jax.random.key(config.train.seed), 1)
+        self._key = jax.random.fold_in(jax.random.key(config.train.seed), _OBSERVED)
 
     def __call__(self, step: int) -> Batch:
         batch = self._config.train.batch

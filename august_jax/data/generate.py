@@ -25,6 +25,7 @@ from august_jax.scene.trajectory import fly_many
 from august_jax.signal.estimation import observe
 
 _BATCH = 64
+_MATERIAL = 1 << 20  # numbers below draw a flight's tracks (scene.trajectory)
 _UNEVEN = 1.4
 """Bodies are padded to one shape, to compile once, unless the largest is this many times the mean."""
 
@@ -129,7 +130,7 @@ def generate(config: Config, rows: Sequence[int] | np.ndarray, targets: Sequence
     padded = np.pad(numbers, (0, (1 << (len(numbers) - 1).bit_length()) - len(numbers)), mode="edge")
     flight_keys = jax.vmap(jax.random.fold_in, (None, 0))(flights_key, jnp.asarray(padded))
     tracks = fly_many(flight_keys, config.flight)
-    share = np.asarray(jax.vmap(lambda key: jax.random.uniform(jax.random.fold_in(key, 1), (2,)))(flight_keys))
+    share = np.asarray(jax.vmap(lambda key: jax.random.uniform(jax.random.fold_in(key, _MATERIAL), (2,)))(flight_keys))
 
     def between(span, value):
         return (span[0] + (span[1] - span[0]) * value).astype(np.float32)

@@ -6,7 +6,8 @@
     DIR/shard-00003/channel.npy  one array a field of :func:`august_jax.data.generate.generate`
 
 A shard is written aside, flushed to the disk and renamed: it is whole or absent, so that a killed run continues
-with the first shard that is missing. Rows are written as memory-mapped arrays are read: in place.
+with the first shard that is missing. What is there is told by the shards themselves; the manifest's list of them is
+what its last writer saw. Rows are written as memory-mapped arrays are read: in place.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from august_jax.data.generate import Sample, generate, prepare_targets
 from august_jax.files import write_text
 
 _PIECE = 2000  # rows generated between two progress lines
-_FORMAT = 2  # of the fields and their meaning; in the digest, so that formats never mix
+_FORMAT = 3  # of the fields and their meaning; in the digest, so that formats never mix
 
 
 class DataError(ValueError):
@@ -53,7 +54,7 @@ def simulate(
         The manifest, with ``written`` (rows of this call), ``seconds`` and ``samples_per_s`` added.
 
     Raises:
-        DataError: the folder holds data of another configuration.
+        DataError: the folder holds data of another configuration, or more than are asked for.
         ValueError: ``part`` is not 1 <= i <= n.
     """
     index, parts = part
@@ -62,12 +63,16 @@ def simulate(
     folder = Path(folder)
     digest = identity(config)
     if (folder / "manifest.json").exists():
-        found = read_manifest(folder)["digest"]
-        if found != digest:
+        found = read_manifest(folder)
+        if found["digest"] != digest:
             raise DataError(
-                f"{folder}: holds data of another configuration, shard size, mesh file or version (digest {found}, "
-                f"wanted {digest}); choose another --out, or remove the folder"
+                f"{folder}: holds data of another configuration, shard size, mesh file or version (digest "
+                f"{found['digest']}, wanted {digest}); choose another --out, or remove the folder"
             )
+        most = max((high for _, high in found["shards"].values()), default=0)
+        if most > config.data.count:
+            raise DataError(f"data.count: {config.data.count} is less than the {most} samples that {folder} holds; ask "
+                            "for at least as many, or choose another --out")
     folder.mkdir(parents=True, exist_ok=True)
     count, size = config.data.count, config.data.shard_rows
     spans = {number: (start, min(start + size, count)) for number, start in enumerate(range(0, count, size))}
@@ -91,7 +96,8 @@ def simulate(
             report(f"{written}/{total} samples  {written / elapsed:.1f} samples/s  {left:.0f} s left")
         fields = {name: np.concatenate([piece[name] for piece in pieces]) for name in pieces[0]}
         _write_shard(folder, number, fields, (low, high), digest)
-    manifest = _write_manifest(folder, config, digest)
+        _write_manifest(folder, config, digest)
+    manifest = read_manifest(folder)
     seconds = time.perf_counter() - began
     return manifest | {"written": written, "seconds": seconds, "samples_per_s": written / max(seconds, 1e-9)}
 
@@ -108,7 +114,7 @@ def shard_name(number: int) -> str:
 
 
 def read_manifest(folder: str | Path) -> dict:
-    """The manifest of a data folder; :class:`DataError` where there is none."""
+    """The manifest of a data folder, its shards and rows counted anew; :class:`DataError` where there is none."""
     path = Path(folder) / "manifest.json"
     try:
         manifest = json.loads(path.read_text())
@@ -120,7 +126,7 @@ def read_manifest(folder: str | Path) -> dict:
     if manifest.get("format") != _FORMAT:
         raise DataError(f"{folder}: holds data of another version (format {manifest.get('format')}, wanted {_FORMAT}); "
                         "make them again with `august simulate`, in another folder")
-    return manifest
+    return manifest | _present(Path(folder), manifest["digest"])
 
 
 def verify(folder: str | Path) -> None:
@@ -165,20 +171,21 @@ def _write_shard(folder: Path, number: int, fields: Sample, span: tuple[int, int
     os.replace(aside, final)
 
 
-def _write_manifest(folder: Path, config: Config, digest: str) -> dict:
+def _write_manifest(folder: Path, config: Config, digest: str) -> None:
+    manifest = {"format": _FORMAT, "digest": digest, "preset": config.preset, "wanted": config.data.count,
+                "airframes": list(config.target.airframes), **_present(folder, digest)}
+    write_text(folder / "config.yaml", to_yaml(config))
+    write_text(folder / "manifest.json", json.dumps(manifest, indent=1))
+
+
+def _present(folder: Path, digest: str) -> dict:
+    """``shards``, name -> row range, of the shards that are there, and ``rows``, the sum of them."""
     shards = {}
     for shard in sorted(folder.glob("shard-*")):
         meta = _meta(shard)
         if meta and meta["digest"] == digest:
             shards[shard.name] = meta["rows"]
-    manifest = {
-        "format": _FORMAT, "digest": digest, "preset": config.preset,
-        "rows": sum(high - low for low, high in shards.values()), "wanted": config.data.count,
-        "airframes": list(config.target.airframes), "shards": shards,
-    }
-    write_text(folder / "config.yaml", to_yaml(config))
-    write_text(folder / "manifest.json", json.dumps(manifest, indent=1))
-    return manifest
+    return {"rows": sum(high - low for low, high in shards.values()), "shards": shards}
 
 
 def _sha256(path: Path) -> str:

@@ -70,7 +70,7 @@ def sensing_channel(
     for end in (array, receiver):
         if end is not None and is_concrete((cells, end)):
             gap = np.linalg.norm(np.asarray(cells.positions)[:, None] - np.asarray(end.positions), axis=-1).min()
-            if gap < np.cbrt(np.max(cells.volumes)):
+            if gap < np.cbrt(np.max(np.asarray(cells.volumes))):
                 raise ValueError(
                     f"cells.positions: a cell is {gap:.3g} m from an antenna; keep the array outside the body"
                 )

@@ -31,6 +31,7 @@ def check_cells(cells: Cells) -> None:
         raise ValueError(f"cells.centroids: got shape {np.shape(cells.centroids)}; give ({count}, 3), or None")
     if not is_concrete(cells):
         return
+    cells = jax.tree.map(np.asarray, cells)  # under jit, jnp would trace even what is done to constants
     for name in ("positions", "volumes", "fill", "normals", "centroids"):
         value = getattr(cells, name)
         if value is not None and not np.all(np.isfinite(value)):
@@ -51,9 +52,9 @@ _CELLS_A_WAVELENGTH = 4.0
 """Fewer cells a wavelength in the material are warned of: |m| k d beyond about 1.5, past what is usual for dipoles."""
 
 
-def warn_of_coarse_cells(cells: Cells, contrast, wavenumber: float) -> None:
+def warn_of_coarse_cells(cells: Cells, contrast, wavenumber) -> None:
     """Warn where the wavelength in the material, thinned by the cells' fill, is under-resolved; numbers only."""
-    if not (is_concrete(cells) and is_concrete(contrast)):
+    if not is_concrete((cells, contrast, wavenumber)):
         return
     fill = np.broadcast_to(np.asarray(cells.fill), np.shape(cells.volumes))
     index = np.sqrt(np.abs(1.0 + fill * np.asarray(contrast)))

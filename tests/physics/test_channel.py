@@ -150,6 +150,18 @@ def test_coarse_cells_are_warned_of_with_the_number():
         sensing_channel(ARRAY, coarse, 4.0)
 
 
+def test_cells_may_be_constants_of_a_compiled_function_and_a_tone_its_argument():
+    cells = jax.tree.map(jnp.asarray, placed(cross(arm=3)))
+
+    def channel(tone, chi):
+        return sensing_channel(ARRAY, cells, chi, frequencies_hz=(tone,))[0]
+
+    expected = sensing_channel(ARRAY, cells, CHI)
+    for compiled in (jax.jit(lambda chi: sensing_channel(ARRAY, cells, chi))(CHI), jax.jit(channel)(3e9, CHI),
+                     jax.jit(lambda tone: channel(tone, CHI))(3e9)):
+        np.testing.assert_allclose(compiled, expected, rtol=1e-4, atol=1e-5 * float(jnp.abs(expected).max()))
+
+
 def test_gradients_agree_with_differences():
     with jax.enable_x64(True):
         cells = placed(cross(), np.float64)

@@ -38,6 +38,15 @@ def test_every_pose_and_material_equals_the_coupled_solve(body, distance, chi):
     assert body.error < 1e-4
 
 
+@pytest.mark.filterwarnings("ignore:cells.volumes")
+@pytest.mark.parametrize("permittivity, conductivity, ceiling", [(15.0, 0.01, 1e-3), (15.0, 2.0, 1e-2)])
+def test_materials_beyond_the_nodes_are_served_less_well(body, permittivity, conductivity, ceiling):
+    chi = complex(contrast(permittivity, conductivity, 3e9))
+    rotation, translation = turned([2.0, 0.3, -0.4]).astype(np.float32), np.array([4.0, 5.0, 3.0], np.float32)
+    fast, slow = np.asarray(body_channel(body, ARRAY, rotation, translation, chi)), exact(rotation, translation, chi)
+    assert np.linalg.norm(fast - slow) < ceiling * np.linalg.norm(slow)
+
+
 def test_fields_at_centroids_equal_the_coupled_solve_too():
     shifts = 0.004 * np.random.default_rng(0).uniform(-1, 1, CELLS.positions.shape)
     cells = CELLS._replace(centroids=CELLS.positions + shifts)
