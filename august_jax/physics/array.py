@@ -112,6 +112,9 @@ class AntennaArray:
     frequency_hz: float = field(metadata={"static": True})
 
     def __post_init__(self):
+        for name in ("positions", "moments"):
+            if isinstance(getattr(self, name), (list, tuple)):
+                object.__setattr__(self, name, np.asarray(getattr(self, name), float))
         if not all(hasattr(part, "shape") for part in (self.positions, self.moments)):
             return  # JAX rebuilds pytrees with placeholders
         shape = self.positions.shape
@@ -121,11 +124,12 @@ class AntennaArray:
             raise ValueError(f"moments: got shape {self.moments.shape}; give {shape}, one unit vector an antenna")
         if not 0.0 < self.frequency_hz < np.inf:
             raise ValueError(f"frequency_hz: got {self.frequency_hz!r}; give a positive frequency in Hz, e.g. 3e9")
-        if not all(isinstance(part, np.ndarray) for part in (self.positions, self.moments)):
+        if any(isinstance(part, (jax.core.Tracer, jax.ShapeDtypeStruct)) for part in (self.positions, self.moments)):
             return
-        if not np.all(np.isfinite(self.positions)):
+        positions, moments = np.asarray(self.positions), np.asarray(self.moments)
+        if not np.all(np.isfinite(positions)):
             raise ValueError("positions: holds NaN or infinity; remove those antennas")
-        length = np.linalg.norm(self.moments, axis=-1)
+        length = np.linalg.norm(moments, axis=-1)
         if not np.all(np.abs(length - 1.0) < 1e-5):
             worst = int(np.argmax(np.where(np.isnan(length), np.inf, np.abs(length - 1.0))))
             raise ValueError(f"moments: row {worst} has length {length.flat[worst]:.3g}; give unit vectors")

@@ -20,7 +20,8 @@ class Cells(NamedTuple):
             None where every cell is solid or the sheet's direction is to be ignored.
         centroids: mean place of the material in each cell (N, 3) [m], where the cell hears the antennas and from where
             it answers; None takes ``positions``. On thin skins this removes most of the lattice's error: 2 k times
-            half a cell is 0.6 rad at 10 mm and 3 GHz.
+            half a cell is 0.6 rad at 10 mm and 3 GHz. A copy with other ``positions`` keeps its centroids: move both,
+            or use :meth:`moved`.
     """
 
     positions: jax.Array | np.ndarray

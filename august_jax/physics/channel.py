@@ -28,7 +28,7 @@ from august_jax.physics.array import AntennaArray, PlanarArray, wavenumber
 from august_jax.physics.cells import Cells
 from august_jax.physics.checks import check_cells, check_contrast, is_concrete, warn_of_coarse_cells
 from august_jax.physics.green import dipole_fields
-from august_jax.physics.krylov import moving_channel, solve_moving
+from august_jax.physics.krylov import differentiable_once, moving_channel, solve_moving
 from august_jax.physics.mom import interaction_matrix, solve_dense, weighted_fields
 
 
@@ -61,7 +61,8 @@ def sensing_channel(
     Raises:
         ValueError: unknown solver, mismatched shapes, malformed cells, or an antenna within a cell.
 
-    Warns where cells are too coarse for the wavelength in their material.
+    Warns where cells are too coarse for the wavelength in their material. Second derivatives through ``krylov`` raise
+    NotImplementedError.
     """
     if solver not in SOLVERS:
         raise ValueError(f"solver: unknown solver {solver!r}; choose one of {', '.join(SOLVERS)}")
@@ -163,7 +164,7 @@ def _channel(array, receiver, cells, contrast, solver, frequency_hz):
         both = jnp.concatenate(fields, axis=1)
         solution = solve_moving(*jax.lax.stop_gradient((cells, k, contrast, both)))
         channel = k**2 * moving_channel(cells, k, contrast, both, solution)
-        channel = channel[-fields[-1].shape[1] :, : fields[0].shape[1]]
+        channel = differentiable_once(channel[-fields[-1].shape[1] :, : fields[0].shape[1]])
     else:
         channel = k**2 * fields[-1].T @ _POLARIZATIONS[solver](cells, contrast, fields[0], k)
     return channel if receiver is not None else 0.5 * (channel + channel.T)

@@ -21,7 +21,7 @@ A complex symmetric, A = A^T. Four properties of it are used:
 
   is stationary at the solution. The error of H is the square of that of P, and dH follows from dE', dD and dK' with P
   held fixed: a reciprocal array needs no adjoint solve, in either direction of differentiation. (Second derivatives
-  would miss how P moves; take those through ``mom``.) D^{-1} appears as y^T y and, differentiated, as q^T dD q with the
+  would miss how P moves: they raise, see :func:`differentiable_once`; take those through ``mom``.) D^{-1} appears as y^T y and, differentiated, as q^T dD q with the
   total field q = E' + K' P, so that cells of no contrast are no exception.
 
 Where the residual is not reached (metal-like contrast, resonance) the same system is solved by LU, and the solution
@@ -35,6 +35,8 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax.extend.core import Primitive
+from jax.interpreters import ad, batching, mlir
 
 from august_jax.physics.cells import Cells
 from august_jax.physics.mom import centred, coupling_weights, interaction_matrix, own_blocks
@@ -313,3 +315,27 @@ def _relative(residual, right):
     size = jnp.sqrt(jnp.sum(jnp.abs(right) ** 2, axis=0))
     error = jnp.sqrt(jnp.sum(jnp.abs(residual) ** 2, axis=0))
     return jnp.max(jnp.where(size > 0, error / jnp.where(size > 0, size, 1.0), 0.0))
+
+
+@jax.custom_jvp
+def differentiable_once(channel: jax.Array) -> jax.Array:
+    """``channel`` as it is; a second derivative of it raises NotImplementedError where it would be wrong in silence."""
+    return channel
+
+
+@differentiable_once.defjvp
+def _first_derivative(values, tangents):
+    # A factor of one, of which the derivative of the tangent would need the derivative.
+    return differentiable_once(*values), _one_p.bind(*values) * tangents[0]
+
+
+def _refuse(values, tangents):
+    raise NotImplementedError("solver: krylov gives first derivatives alone; take second ones through solver='mom'")
+
+
+_one_p = Primitive("one_of_first_order")
+_one_p.def_impl(lambda channel: jnp.ones((), channel.real.dtype))
+_one_p.def_abstract_eval(lambda channel: jax.core.ShapedArray((), jnp.finfo(channel.dtype).dtype))
+ad.primitive_jvps[_one_p] = _refuse
+batching.primitive_batchers[_one_p] = lambda values, axes: (_one_p.bind(*values), None)
+mlir.register_lowering(_one_p, mlir.lower_fun(lambda channel: jnp.ones((), channel.real.dtype), multiple_results=False))

@@ -31,6 +31,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import warnings
 import zipfile
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -60,6 +61,7 @@ _SPAN_TOLERANCE = 5e-7  # smallest singular value kept of the incident fields, r
 _BASIS_TOLERANCES = (7e-3, 3e-3, 1e-3)  # the same of the polarisations, tried in turn: H errs by about their square
 _APERTURE_TOLERANCE = 3e-6  # the same of the fields over the aperture
 _FORMAT = "body-6"
+_FACTORS = ("weights", "eigenvalues", "points", "rows", "error")
 
 
 @jax.tree_util.register_dataclass
@@ -371,13 +373,17 @@ def _cached(cells: Cells, frequency_hz: float, nearest_m: float, cache: bool) ->
     if cache and path.exists():
         try:
             with path.open("rb") as file, np.load(file) as stored:
-                return dict(stored)
-        except (OSError, ValueError, EOFError, zipfile.BadZipFile):
+                return {name: stored[name] for name in _FACTORS}
+        except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile):
             pass  # a damaged file is made again below
     factors = _factor(cells, frequency_hz, nearest_m)
     if cache:
-        with replacing(path) as aside:
-            np.savez(aside, **factors)
+        try:
+            with replacing(path) as aside:
+                np.savez(aside, **factors)
+        except OSError as error:  # half a minute's work is not to be thrown away for it
+            warnings.warn(f"a factored body could not be kept in {path.parent} ({error.strerror}); set AUGUST_CACHE to "
+                          "a folder that can be written", stacklevel=2)
     return factors
 
 

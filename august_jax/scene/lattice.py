@@ -52,7 +52,7 @@ def shell_cells(triangles: np.ndarray, cell_m: float, skin_m: float) -> Cells:
         the centroids (N, 3) [m].
 
     Raises:
-        ValueError: a size is not positive, or the skin is thicker than a cell.
+        ValueError: a size is not positive, the skin is thicker than a cell, or so thin or coarse that no cell is left.
     """
     if not (np.isfinite(cell_m) and np.isfinite(skin_m) and 0.0 < skin_m <= cell_m):
         raise ValueError(f"skin_m={skin_m!r}, cell_m={cell_m!r}: wanted 0 < skin_m <= cell_m, both in metres")
@@ -96,6 +96,9 @@ def shell_cells(triangles: np.ndarray, cell_m: float, skin_m: float) -> Cells:
     middles = cells * cell_m
     fill = weight / parts**3
     kept = fill >= _NEGLIGIBLE * skin_m / cell_m
+    if not kept.any():
+        raise ValueError(f"cell_m={cell_m!r}, skin_m={skin_m!r}: no cell holds material worth keeping; both are in "
+                         "metres, e.g. 0.012 and 0.002")
     return Cells(
         positions=(middles + _TOWARDS_CENTROID * (centroids - middles))[kept],
         volumes=np.full(int(kept.sum()), cell_m**3),
