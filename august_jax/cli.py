@@ -20,6 +20,7 @@ import sys
 import textwrap
 import time
 import warnings
+import zipfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -74,6 +75,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         if result.get("failed"):
             print(f"august: {result['failed']}", file=sys.stderr)
             return 2
+        return 0
+    except BrokenPipeError:  # the reader, `head` for example, has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except KeyboardInterrupt:
         print("august: interrupted; finished files are kept, nothing is half-written", file=sys.stderr)
@@ -160,9 +164,23 @@ def _join_signed(argv: list[str]) -> list[str]:
     return joined
 
 
-def _folder(args: argparse.Namespace, default: str) -> Path:
-    """Where the command writes; refused before the work where nothing can be written there."""
+_MARKS = {"manifest.json": "august simulate", "checkpoints": "august train", "weights.npz": "august train",
+          "clouds.npz": "august demo or august reconstruct"}
+"""What is in a folder -> which command keeps its config.yaml there."""
+
+
+def _folder(args: argparse.Namespace, default: str, *, configured: bool = False) -> Path:
+    """Where the command writes; refused before the work where nothing can be written there.
+
+    With ``configured``, also refused where the ``config.yaml`` is another command's.
+    """
+    if args.out == "":
+        raise ConfigError("--out: '' names no folder; leave it out, or give one")
     out = Path(args.out or default)
+    for mark, owner in _MARKS.items():
+        if configured and (out / mark).exists() and f"august {args.command}" not in owner:
+            raise ConfigError(f"--out: {out} holds what {owner} wrote ({mark}), which august {args.command} would "
+                              "damage; choose another folder")
     parent = next(path for path in (out, *out.absolute().parents) if path.exists())
     if not parent.is_dir() or not os.access(parent, os.W_OK):
         raise ConfigError(f"--out: nothing can be written to {out}, because {parent} is "
@@ -190,6 +208,8 @@ def _weights(args: argparse.Namespace, run: str | None):
     from august_jax import pipeline
 
     networks = pipeline.load_networks(run)
+    if args.preset:
+        configuration.preset(args.preset)  # refuses unknown ones
     if args.preset and args.preset != networks.config.preset:
         raise ConfigError(
             f"preset: {args.preset!r}, but these weights were trained with preset {networks.config.preset!r}\n"
@@ -235,8 +255,8 @@ def _number(text: str) -> float:
 
 
 def _natural(text: str) -> int:
-    if not text.isdigit():
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 0 up")
+    if not re.fullmatch("[0-9]{1,20}", text) or int(text) >= 2**31:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 0 up to 2^31 - 1")
     return int(text)
 
 
@@ -287,7 +307,7 @@ def _doctor(args: argparse.Namespace) -> dict[str, Any]:
     if not failed:
         _say(args, "all is well; next: august demo")
     return {"checks": [check._asdict() for check in checks],
-            "failed": f"failed: {', '.join(failed)}; august doctor says why" if failed else None}
+            "failed": f"failed: {', '.join(failed)}; the lines above say why" if failed else None}
 
 
 # ---- demo and reconstruct ---------------------------------------------------------------------------------------
@@ -309,12 +329,15 @@ def _demo(args: argparse.Namespace) -> dict[str, Any]:
     shot = pipeline.draw_flight(config, args.seed, args.slots, args.airframe)
     _note(f"{shot.airframe.name} flies {args.slots} slots, permittivity {shot.permittivity:.2f}, "
           f"conductivity {1e3 * shot.conductivity:.1f} mS/m")
-    return _sense(args, "demo", networks, config, shot, started, following=[
-        ("august reconstruct --mesh FILE --half-wheelbase 0.25", "your own drone, at one pose of your choice"),
-        ("august demo --seed 1 --snr 30", "another flight, at a better SNR"),
-        ("august evaluate --seed 1", "the accuracy over SNR, beside its baselines"),
-        ("august export august_demo --format mat", "the clouds for MATLAB"),
+    return _sense(args, networks, config, shot, started, following=[
+        ("august reconstruct --mesh FILE --half-wheelbase 0.25" + _own(args), "your own drone, at one pose of your choice"),
+        ("august demo --seed 1 --snr 30" + _own(args), "another flight, at a better SNR"),
     ])
+
+
+def _own(args: argparse.Namespace) -> str:
+    """The option that names the weights again, for a command line to try next."""
+    return f" --run {args.run}" if args.run else ""
 
 
 def _reconstruct_arguments(parser: argparse.ArgumentParser) -> None:
@@ -341,14 +364,13 @@ def _reconstruct(args: argparse.Namespace) -> dict[str, Any]:
     airframe = load_airframe(args.mesh, unit=args.unit, up=args.up, forward=args.forward,
                              half_wheelbase_m=args.half_wheelbase)
     networks, config = _weights(args, args.run)
-    shot = pipeline.pose(config, airframe, position=args.position, yaw_deg=args.yaw, pitch_deg=args.pitch,
+    shot = pipeline.pose(networks.config, airframe, position=args.position, yaw_deg=args.yaw, pitch_deg=args.pitch,
                          roll_deg=args.roll, permittivity=args.permittivity, conductivity=args.conductivity)
     _note(f"{airframe.name}: half-wheelbase {airframe.half_wheelbase_m:.3f} m, at "
           f"({', '.join(f'{value:.2f}' for value in shot.positions[0])}) m")
-    return _sense(args, "reconstruct", networks, config, shot, started, following=[
-        ("august reconstruct --mesh FILE --snr 30 --yaw 45 --pitch 15", "another pose, at a better SNR"),
-        ("august export august_reconstruct --format mat", "the clouds for MATLAB"),
-        ("august evaluate --seed 1", "the accuracy over SNR, beside its baselines"),
+    return _sense(args, networks, config, shot, started, following=[
+        (f"august reconstruct --mesh {args.mesh} --snr 30 --yaw 45 --pitch 15" + _own(args),
+         "another pose, at a better SNR; with your --unit, --up, --forward and --half-wheelbase"),
     ])
 
 
@@ -356,12 +378,16 @@ def _sampler_steps(config: Config) -> int:
     return config.evaluate.sampler_steps if config.evaluate.sampler == "dpm" else config.model.steps
 
 
-def _sense(args, command: str, networks, config: Config, shot, started: float, following) -> dict[str, Any]:
+def _sense(args, networks, config: Config, shot, started: float, following) -> dict[str, Any]:
     from august_jax import evaluation, pipeline, plotting, report
     from august_jax.export import write_ply, write_record
     from august_jax.files import write_text
 
-    out = _folder(args, f"august_{command}")
+    command = args.command
+    out = _folder(args, f"august_{command}", configured=True)
+    following = [*following, (f"august evaluate {args.run + ' ' if args.run else ''}--seed 1",
+                              "the accuracy over SNR, beside its baselines"),
+                 (f"august export {out} --format mat", "the clouds for MATLAB")]
     track = pipeline.sense(networks, config, shot, seed=args.seed, snr_db=args.snr, progress=_note)
     scores = evaluation.score_track(track, config, shot.airframe.half_wheelbase_m)
     seconds = time.monotonic() - started
@@ -410,14 +436,16 @@ def _sense(args, command: str, networks, config: Config, shot, started: float, f
 
 def _simulate_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--shard", type=_part, default=(1, 1), metavar="I/N", help="make the i-th of n parts alone")
+    parser.add_argument("--verify", action="store_true",
+                        help="read what is there, compare its check sums, and make damaged pieces again")
 
 
 def _simulate(args: argparse.Namespace) -> dict[str, Any]:
     config = _config(args)
-    out = _folder(args, f"august_data/{config.preset}")
+    out = _folder(args, f"august_data/{config.preset}", configured=True)
     from august_jax.data import simulate
 
-    manifest = simulate(config, out, part=args.shard, report=_note)
+    manifest = simulate(config, out, part=args.shard, verify=args.verify, report=_note)
     done = manifest["rows"] >= manifest["wanted"]
     _say(args, f"{manifest['written']} samples written in {manifest['seconds']:.0f} s "
                f"({manifest['samples_per_s']:.1f} samples/s); {out}/ now holds {manifest['rows']} of "
@@ -454,11 +482,13 @@ def _train(args: argparse.Namespace) -> dict[str, Any]:
     dataset = Dataset(folder)
     config = _training_config(args, dataset.config, folder)
     batches = TrainingBatches(dataset, config)
-    out = _folder(args, f"august_runs/{config.preset}")
+    out = _folder(args, f"august_runs/{config.preset}", configured=True)
     _note(f"{len(dataset.rows('train'))} of {dataset.count} samples are for training, {config.train.steps} steps")
     state = train(config, batches, out, validate=validator(dataset, config), draw=training_curves,
                   weights=weights, printer=_note)
-    last = json.loads((out / "metrics.jsonl").read_text().splitlines()[-1])
+    metrics = out / "metrics.jsonl"
+    logged = metrics.read_text().splitlines() if metrics.exists() else []  # gone where nothing was left to train
+    last = json.loads(logged[-1]) if logged else {}
     _say(args, f"trained to step {int(state.step)}: " + "  ".join(f"{name} {value:.4g}" for name, value in last.items()
                                                                   if name not in ("step", "seconds_left")))
     _say(args, f"written to {out}/: weights.npz, config.yaml, metrics.jsonl, curves.png, checkpoints\n"
@@ -547,9 +577,15 @@ def _source(source: Path, index: int) -> tuple[int, dict[str, Any], dict[str, tu
     """Number, record and clouds (points, permittivity, conductivity) of one slot of a result or one sample."""
     import numpy as np
 
+    from august_jax.pipeline import Track
+
     if (source / "clouds.npz").is_file():
-        with np.load(source / "clouds.npz") as file:
-            whole = dict(file)
+        try:
+            with (source / "clouds.npz").open("rb") as file, np.load(file) as stored:
+                whole = {each.name: stored[each.name] for each in dataclasses.fields(Track)}
+        except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
+            raise ConfigError(f"SOURCE: {source / 'clouds.npz'} is damaged ({type(error).__name__}); make it again with "
+                              "august demo or august reconstruct") from None
         index = _place(index, len(whole["time_s"]), source)
         record = {name: value[index] if np.ndim(value) else value for name, value in whole.items()}
         material = record["permittivity"], record["conductivity"]

@@ -270,6 +270,8 @@ def override(config: Config, assignments: Sequence[str]) -> Config:
     tree = to_dict(config)
     for text in assignments:
         path, separator, raw = text.partition("=")
+        if path.strip() == "preset":
+            raise ConfigError(f"{text}: a preset is not overridden but chosen, with --preset")
         if not separator:
             raise ConfigError(f"override {text!r} is not of the form section.field=value, e.g. train.steps=2000")
         *parents, leaf = path.strip().split(".")
@@ -323,7 +325,7 @@ def read(path: str | os.PathLike) -> Config:
     """The configuration in a file that :func:`to_yaml` made; :class:`ConfigError` names the file."""
     try:
         return from_yaml(Path(path).read_text(encoding="utf-8"))
-    except (OSError, ConfigError) as error:
+    except (OSError, ValueError) as error:
         raise ConfigError(f"{path}: {error}\nit is damaged or of another version; make that folder again") from None
 
 
@@ -371,18 +373,22 @@ def _coerce(wanted: Any, value: Any, where: str) -> Any:
     if wanted in (int, float) and not isinstance(value, bool):
         try:
             number = float(value)  # YAML reads 1e-3 as text
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             number = None
         if number is not None and not math.isfinite(number):
             raise ConfigError(f"{where}: {value!r} is not a finite number")
         if number is not None and wanted is float:
             return number
         if number is not None and number.is_integer():
+            if abs(number) >= _TOO_MANY:
+                raise ConfigError(f"{where}: {value!r} is too large; wanted less than 2^31")
             return int(number)
     raise ConfigError(f"{where}: {value!r} is not {'an integer' if wanted is int else f'a {wanted.__name__}'}")
 
 
+_TOO_MANY = 2**31  # seeds beyond 2^32 repeat; an evaluation adds 2^30 to them
 _CHOICES = {
+    "preset": PRESETS,
     "flight.style": ("smooth", "dynamic", "jump"),
     "signal.pilots": ("unitary", "gaussian"),
     "signal.estimator": ("ls", "ridge", "lmmse_roi", "dft"),
@@ -465,6 +471,12 @@ def _validate(config: Config) -> None:
          f"must lie within {SNR_LIMIT_DB:g} dB of 0"),
         (max(map(abs, config.signal.snr_db)) <= SNR_LIMIT_DB, "signal.snr_db", config.signal.snr_db,
          f"must lie within {SNR_LIMIT_DB:g} dB of 0"),
+        (0.0 < min(config.signal.beam_width_deg) and max(config.signal.beam_width_deg) <= 180.0,
+         "signal.beam_width_deg", config.signal.beam_width_deg, "must lie in (0, 180]"),
+        (min(config.train.weight_position, config.train.weight_material, config.train.weight_latent,
+             config.train.weight_readout) >= 0.0, "train.weight_*", (
+                 config.train.weight_position, config.train.weight_material, config.train.weight_latent,
+                 config.train.weight_readout), "must not be negative"),
         (min(config.train.learning_rate) > 0.0, "train.learning_rate", config.train.learning_rate, "must be positive"),
         (0.0 <= config.train.ema < 1.0, "train.ema", config.train.ema, "must lie in [0, 1)"),
         (config.model.frame == "region" or config.train.weight_readout > 0, "model.frame", config.model.frame,

@@ -6,8 +6,5 @@ SPEED_OF_LIGHT = 299_792_458.0
 VACUUM_PERMITTIVITY = 8.854_187_812_8e-12
 """eps0, permittivity of vacuum [F/m]."""
 
-VACUUM_PERMEABILITY = 1.256_637_062_12e-6
-"""mu0, permeability of vacuum [H/m]."""
-
 GRAVITY = 9.806_65
 """Standard acceleration of free fall [m/s^2]."""

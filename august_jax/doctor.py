@@ -29,7 +29,7 @@ def examine(out: Path) -> Iterator[Check]:
     """Yield one :class:`Check` after the other.
 
     Args:
-        out: directory whose disk is checked for room.
+        out: directory whose disk is checked for room, or the nearest above it that is there.
     """
     yield Check("python", True, f"{platform.python_version()} on {platform.system()} {platform.machine()}, "
                                 f"{os.cpu_count()} CPU cores")
@@ -37,7 +37,8 @@ def examine(out: Path) -> Iterator[Check]:
     yield _guarded("devices", _devices)
     yield _guarded("physics", _physics)
     yield _guarded("cache", _cache)
-    room = shutil.disk_usage(out if out.is_dir() else ".").free
+    out = next(path for path in (out, *out.absolute().parents) if path.is_dir())
+    room = shutil.disk_usage(out).free
     yield Check("disk", room > _ROOM_BYTES, f"{room / 1024**3:.1f} GiB free; wanted {_ROOM_BYTES / 1024**3:.0f}")
     yield _guarded("weights", _weights)
     collada = find_spec("collada") is not None

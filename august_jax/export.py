@@ -45,7 +45,8 @@ def write_ply(path: str | Path, points, permittivity, conductivity) -> None:
 def write_record(path: str | Path, record: Mapping[str, Any]) -> None:
     """Write a flat mapping of arrays; the suffix of ``path`` says how: ``.npz``, ``.mat`` or ``.json``.
 
-    JSON turns a complex array into ``{"real": ..., "imag": ...}``. ValueError for another suffix.
+    JSON turns a complex array into ``{"real": ..., "imag": ...}`` and numbers that are not finite into null. ValueError
+    for another suffix.
     """
     path = Path(path)
     arrays = {name: np.asarray(value) for name, value in record.items()}
@@ -57,12 +58,15 @@ def write_record(path: str | Path, record: Mapping[str, Any]) -> None:
 
             savemat(aside, arrays, do_compression=True, oned_as="row")
         elif path.suffix == ".json":
-            aside.write_text(json.dumps({name: _plain(array) for name, array in arrays.items()}), encoding="utf-8")
+            plain = {name: _plain(array) for name, array in arrays.items()}
+            aside.write_text(json.dumps(plain, allow_nan=False), encoding="utf-8")
         else:
             raise ValueError(f"path: unknown suffix {path.suffix!r}; a record is written as .npz, .mat or .json")
 
 
 def _plain(array: np.ndarray) -> Any:
     if np.iscomplexobj(array):
-        return {"real": array.real.tolist(), "imag": array.imag.tolist()}
+        return {"real": _plain(array.real), "imag": _plain(array.imag)}
+    if np.issubdtype(array.dtype, np.floating) and not np.isfinite(array).all():
+        return np.where(np.isfinite(array), array, None).tolist()
     return array.tolist()

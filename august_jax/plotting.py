@@ -41,7 +41,7 @@ def training_curves(metrics_jsonl: str | Path, png: str | Path) -> None:
         png: the picture.
     """
     lines = [json.loads(line) for line in Path(metrics_jsonl).read_text().splitlines() if line.strip()]
-    skipped = {"step", "samples_per_s", "seconds", "seconds_left", "learning_rate"}
+    skipped = {"step", "samples_per_s", "seconds_left"}
     names = [name for name, value in (lines[-1] if lines else {}).items()
              if name not in skipped and isinstance(value, (int, float))]
     if not names:

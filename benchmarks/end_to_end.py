@@ -1,4 +1,4 @@
-"""Wall times of the program as a user meets it: imports, the help, samples a second, a cloud.
+"""Wall times of the program as a user meets it: imports, the help, samples a second.
 
     python benchmarks/end_to_end.py --json end_to_end.json
 
@@ -35,6 +35,8 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=20_000, help="samples to simulate; 0 leaves that out")
     parser.add_argument("--repeats", type=int, default=5)
     args = parser.parse_args()
+    if args.json and not args.json.absolute().parent.is_dir():
+        parser.error(f"--json: {args.json.parent} is no folder")
     figures: dict = {"machine": machine()}
     print(figures["machine"])
     timed: dict[str, list[float]] = {"import jax": [], "import august_jax": [], "august --help": []}

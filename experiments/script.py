@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import argparse
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+
+from august_jax.files import replacing
 
 Numbers = dict[str, np.ndarray]
 
@@ -28,14 +31,21 @@ def run(
     parser.add_argument("--results", type=Path, default=Path(__file__).parent / "results" / f"{name}.npz",
                         help="the .npz that is written or read (%(default)s)")
     arguments = parser.parse_args()
+    arguments.results = arguments.results.with_suffix(".npz")
     if arguments.action == "compute":
-        arguments.results.parent.mkdir(parents=True, exist_ok=True)
-        np.savez(arguments.results, **compute(arguments.small))
+        arguments.results.parent.mkdir(parents=True, exist_ok=True)  # before the work, which may take long
+        numbers = compute(arguments.small)
+        with replacing(arguments.results) as aside:
+            np.savez(aside, **numbers)
         print(f"wrote {arguments.results}\nnext:  python experiments/{name}.py draw --results {arguments.results}")
         return
     if not arguments.results.exists():
         parser.error(f"--results: {arguments.results} does not exist; run `experiments/{name}.py compute` first")
     picture = arguments.results.with_suffix(".png")
-    with np.load(arguments.results) as stored:
-        draw(dict(stored), picture)
+    try:
+        with arguments.results.open("rb") as file, np.load(file) as stored:
+            numbers = dict(stored)
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        parser.error(f"--results: {arguments.results} cannot be read ({type(error).__name__}); compute it again")
+    draw(numbers, picture)
     print(f"wrote {picture}")

@@ -54,10 +54,14 @@ def test_overrides_are_applied_in_order_and_typed():
     ("signal.snr_db=[0, 300]", "within 100 dB"),
     ("train.learning_rate=[-1, 0]", "must be positive"),
     ("train.ema=1.5", "must lie in"),
+    ("train.weight_position=-3", "must not be negative"),
+    ("signal.beam_width_deg=[0, 0]", "must lie in"),
+    ("data.seed=99999999999999999999", "less than 2^31"),
+    ("preset=paper", "with --preset"),
     ("steps=3", "unknown field"),
 ])
 def test_bad_overrides_name_the_field_and_the_way_out(text, message):
-    with pytest.raises(ConfigError, match=message.replace("[", r"\[")):
+    with pytest.raises(ConfigError, match=message.replace("[", r"\[").replace("^", r"\^")):
         override(preset("laptop"), [text])
 
 
@@ -71,9 +75,9 @@ def test_the_digest_of_data_follows_the_physics_and_not_the_amount():
         preset("huge")
 
 
-@pytest.mark.parametrize("text", ["a: [", "3", "model: {latnet: 3}"])
+@pytest.mark.parametrize("text", ["a: [", "3", "model: {latnet: 3}", "preset: huge", "\xff"])
 def test_a_damaged_file_is_named(tmp_path, text):
     path = tmp_path / "config.yaml"
-    path.write_text(text)
+    path.write_bytes(text.encode("latin-1"))
     with pytest.raises(configuration.ConfigError, match="config.yaml.*\n.*make that folder again"):
         configuration.read(path)

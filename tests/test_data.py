@@ -64,14 +64,36 @@ def test_shards_survive_a_kill_and_parts_make_the_whole(folder, tmp_path):
     (tmp_path / ".shard-00000.part").mkdir()  # what a killed run leaves
     assert data.simulate(CONFIG, tmp_path)["written"] == 28
     assert data.simulate(CONFIG, tmp_path)["written"] == 0
-    data.verify(tmp_path)
     places = np.arange(48)
     whole, parts = (data.Dataset(each).read(places) for each in (folder, tmp_path))
     for name in whole:
         np.testing.assert_array_equal(whole[name], parts[name])
     (tmp_path / "shard-00001" / "snr_db.npy").write_bytes(b"\x93NUMPY broken")
-    with pytest.raises(data.DataError, match="damaged"):
-        data.verify(tmp_path)
+    with pytest.raises(data.DataError, match="shard-00001: meta.json or an array is damaged.*--verify"):
+        data.Dataset(tmp_path)
+    np.save(tmp_path / "shard-00001" / "snr_db.npy", np.zeros(5, np.float32))
+    with pytest.raises(data.DataError, match="shard-00001: snr_db is damaged.*--verify"):
+        data.Dataset(tmp_path)
+    np.save(tmp_path / "shard-00001" / "snr_db.npy", np.zeros(20, np.float32))  # only its sum tells
+    assert data.simulate(CONFIG, tmp_path)["written"] == 0
+    assert data.simulate(CONFIG, tmp_path, verify=True)["written"] == 20
+    np.testing.assert_array_equal(data.Dataset(tmp_path).read(places)["snr_db"], whole["snr_db"])
+
+
+@pytest.mark.parametrize("text", ["[]", "{\"format\": 3}", "{", "\xff"])
+def test_a_damaged_manifest_is_named_and_made_again(folder, tmp_path, text):
+    shutil.copytree(folder, tmp_path / "copy")
+    (tmp_path / "copy" / "manifest.json").write_bytes(text.encode("latin-1"))
+    with pytest.raises(data.DataError, match="manifest.json: is damaged"):
+        data.simulate(CONFIG, tmp_path / "copy")
+    (tmp_path / "copy" / "manifest.json").unlink()
+    assert data.simulate(CONFIG, tmp_path / "copy")["written"] == 0
+
+
+def test_what_cannot_be_simulated_leaves_nothing(tmp_path):
+    with pytest.raises(ValueError, match="quadx"):
+        data.simulate(override(CONFIG, ["target.airframes=[quadx]"]), tmp_path / "new")
+    assert not (tmp_path / "new").exists()
 
 
 def test_other_data_are_not_overwritten(folder):

@@ -5,12 +5,12 @@ from pathlib import Path
 
 import pytest
 
-DOCS = Path(__file__).parent.parent / "docs"
+ROOT = Path(__file__).parent.parent
 
 
-@pytest.mark.parametrize("page", ["simulator.md"])
+@pytest.mark.parametrize("page", ["README.md", "docs/simulator.md"])
 def test_every_example_of_a_page_runs_in_order(page):
-    text = (DOCS / page).read_text(encoding="utf-8")
+    text = (ROOT / page).read_text(encoding="utf-8")
     blocks = re.findall(r"^```python\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
     assert blocks
     names: dict = {}

@@ -27,7 +27,7 @@ ALLOWED = {
 """First part of a module's name -> what it may import besides itself; what is not named here stands on top."""
 ON_TOP = {"pipeline", "evaluation", "plotting", "report", "export", "cli", "doctor"}
 OWNERS = {
-    "trimesh": {"scene.airframes", "report"},
+    "trimesh": {"scene.airframes"},
     "distrax": {"models.flow"},
     "optax": {"training"},
     "orbax": {"training.checkpoint"},

@@ -1,6 +1,7 @@
 """The training step and the run around it: it learns, it continues to the same numbers, it stops when it must."""
 
 import json
+import shutil
 from dataclasses import replace
 
 import jax
@@ -88,9 +89,38 @@ def test_a_run_continued_after_an_interruption_ends_in_the_same_numbers(finished
     whole = [json.loads(line) for line in (folder / "metrics.jsonl").read_text().splitlines()]
     assert [(line["step"], line["loss"]) for line in kept] == [(line["step"], line["loss"]) for line in whole]
 
+    lines.clear()
+    same(train(CONFIG, next_batch, tmp_path, printer=lines.append, weights=folder / "weights.npz"), state)
+    assert "--init is for new runs" in lines[0]
+    with pytest.raises(ValueError, match="train.steps: 3 is less than the 4 steps"):
+        train(replace(CONFIG, train=replace(CONFIG.train, steps=3)), next_batch, tmp_path, printer=lines.append)
     other = replace(CONFIG, model=replace(MODEL, latent=5))
     with pytest.raises(ValueError, match="model.latent: the run in .* was started with 4, now it is 5"):
         train(other, next_batch, tmp_path, printer=lambda line: None)
+
+
+def test_a_damaged_checkpoint_is_named_and_the_one_before_serves(finished, tmp_path):
+    folder, state, *_ = finished
+    shutil.copytree(folder, tmp_path / "run")
+    for path in (tmp_path / "run" / "checkpoints" / "4").rglob("*"):
+        if path.is_file():
+            path.write_bytes(b"")
+    with pytest.raises(ValueError, match="checkpoints/4: the checkpoint cannot be read .*; remove that folder"):
+        train(CONFIG, next_batch, tmp_path / "run", printer=lambda line: None)
+    shutil.rmtree(tmp_path / "run" / "checkpoints" / "4")
+    lines = []
+    same(train(CONFIG, next_batch, tmp_path / "run", printer=lines.append), state)
+    assert lines[0] == "continuing from step 2 of 4"
+
+
+def test_weights_without_a_checkpoint_are_set_aside(finished, tmp_path):
+    (tmp_path / "weights.npz").write_bytes((finished[0] / "weights.npz").read_bytes())
+    (tmp_path / "metrics.jsonl").write_text('{"step": 9}\n')
+    lines = []
+    train(replace(CONFIG, train=replace(CONFIG.train, seed=3)), next_batch, tmp_path, printer=lines.append)
+    assert (tmp_path / "weights.previous.npz").read_bytes() == (finished[0] / "weights.npz").read_bytes()
+    assert (tmp_path / "metrics.previous.jsonl").read_text() == '{"step": 9}\n'
+    assert "weights.previous.npz" in lines[0]
 
 
 def test_a_loss_that_is_not_finite_stops_the_run_by_name(tmp_path):

@@ -45,12 +45,16 @@ class Dataset:
         manifest = read_manifest(folder)
         self.config = read(folder / "config.yaml")
         self._shards: list[Sample] = []
-        for name in manifest["shards"]:
+        for name, (low, high) in manifest["shards"].items():
             try:
                 meta = json.loads((folder / name / "meta.json").read_text())
                 fields = {field: np.load(folder / name / f"{field}.npy", mmap_mode="r") for field in meta["arrays"]}
-            except (OSError, ValueError) as error:
-                raise DataError(f"{folder / name}: {error}; remove it and run `august simulate` again") from None
+                short = [field for field, value in fields.items() if len(value) != high - low]
+            except (OSError, ValueError, EOFError, TypeError):
+                short = ["meta.json or an array"]
+            if short:
+                raise DataError(f"{folder / name}: {short[0]} is damaged; run the same `august simulate` once more with "
+                                "--verify, which makes it again")
             self._shards.append(fields)
         if manifest["rows"] < manifest["wanted"]:
             raise DataError(f"{folder}: holds {manifest['rows']} of {manifest['wanted']} samples; run the `august simulate` "

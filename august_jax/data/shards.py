@@ -40,6 +40,7 @@ def simulate(
     folder: str | Path,
     *,
     part: tuple[int, int] = (1, 1),
+    verify: bool = False,
     report: Callable[[str], None] = lambda line: None,
 ) -> dict:
     """Make the data of ``config`` in ``folder``, or what of them is still missing.
@@ -48,6 +49,7 @@ def simulate(
         config: ``config.data.count`` rows in shards of ``config.data.shard_rows``.
         folder: created if absent.
         part: (i, n) writes the i-th of n interleaved sets of shards, i from 1.
+        verify: compare the sha256 of every array that is there, and make shards that are damaged again.
         report: called with lines of progress.
 
     Returns:
@@ -64,7 +66,7 @@ def simulate(
     digest = identity(config)
     if (folder / "manifest.json").exists():
         found = read_manifest(folder)
-        if found["digest"] != digest:
+        if found["shards"] and found["digest"] != digest:
             raise DataError(
                 f"{folder}: holds data of another configuration, shard size, mesh file or version (digest "
                 f"{found['digest']}, wanted {digest}); choose another --out, or remove the folder"
@@ -73,17 +75,17 @@ def simulate(
         if most > config.data.count:
             raise DataError(f"data.count: {config.data.count} is less than the {most} samples that {folder} holds; ask "
                             "for at least as many, or choose another --out")
-    folder.mkdir(parents=True, exist_ok=True)
     count, size = config.data.count, config.data.shard_rows
     spans = {number: (start, min(start + size, count)) for number, start in enumerate(range(0, count, size))}
     missing = [
         number for number in spans
-        if number % parts == index - 1 and not _complete(folder / shard_name(number), spans[number], digest)
+        if number % parts == index - 1 and not _complete(folder / shard_name(number), spans[number], digest, verify)
     ]
-    _write_manifest(folder, config, digest)
     began = time.perf_counter()
     written, total = 0, sum(spans[number][1] - spans[number][0] for number in missing)
     targets = prepare_targets(config, report) if missing else []
+    folder.mkdir(parents=True, exist_ok=True)
+    _write_manifest(folder, config, digest)
     for number in missing:
         low, high = spans[number]
         pieces = []
@@ -121,37 +123,31 @@ def read_manifest(folder: str | Path) -> dict:
     except FileNotFoundError:
         raise DataError(f"{folder}: holds no manifest.json; make data with `august simulate --out {folder}` and the "
                         "preset that you want") from None
-    except json.JSONDecodeError as error:
-        raise DataError(f"{path}: is not JSON ({error}); remove it and run `august simulate` again") from None
-    if manifest.get("format") != _FORMAT:
-        raise DataError(f"{folder}: holds data of another version (format {manifest.get('format')}, wanted {_FORMAT}); "
+    except ValueError:
+        manifest = None
+    if not isinstance(manifest, dict) or not {"format", "digest", "wanted"} <= set(manifest):
+        raise DataError(f"{path}: is damaged; remove it and run `august simulate` again, which keeps the shards")
+    if manifest["format"] != _FORMAT:
+        raise DataError(f"{folder}: holds data of another version (format {manifest['format']}, wanted {_FORMAT}); "
                         "make them again with `august simulate`, in another folder")
     return manifest | _present(Path(folder), manifest["digest"])
-
-
-def verify(folder: str | Path) -> None:
-    """Read every array and compare its sha256; :class:`DataError` names the first that differs."""
-    folder = Path(folder)
-    for name in read_manifest(folder)["shards"]:
-        for field, about in json.loads((folder / name / "meta.json").read_text())["arrays"].items():
-            path = folder / name / f"{field}.npy"
-            if _sha256(path) != about["sha256"]:
-                raise DataError(f"{path}: is damaged; remove {folder / name} and run `august simulate` again")
 
 
 def _meta(shard: Path) -> dict | None:
     """What a shard says of itself; None where it is missing or damaged."""
     try:
-        return json.loads((shard / "meta.json").read_text())
-    except (OSError, json.JSONDecodeError):
+        meta = json.loads((shard / "meta.json").read_text())
+    except (OSError, ValueError):
         return None
+    return meta if isinstance(meta, dict) and {"rows", "digest", "arrays"} <= set(meta) else None
 
 
-def _complete(shard: Path, span: tuple[int, int], digest: str) -> bool:
+def _complete(shard: Path, span: tuple[int, int], digest: str, verify: bool) -> bool:
     meta = _meta(shard)
     if not meta or meta["digest"] != digest or meta["rows"] != list(span):
         return False
-    return all((shard / f"{field}.npy").exists() for field in meta["arrays"])
+    paths = {shard / f"{field}.npy": about["sha256"] for field, about in meta["arrays"].items()}
+    return all(path.exists() and (not verify or _sha256(path) == wanted) for path, wanted in paths.items())
 
 
 def _write_shard(folder: Path, number: int, fields: Sample, span: tuple[int, int], digest: str) -> None:

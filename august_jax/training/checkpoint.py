@@ -7,8 +7,11 @@ removes; finished checkpoints are never touched by a save in progress.
 
 from __future__ import annotations
 
+import logging
 import os
 import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -60,21 +63,37 @@ class Checkpoints:
         """The last saved state, with the structure, types and placement of ``like``.
 
         Raises:
-            ValueError: nothing is saved here, or it was saved from other networks.
+            ValueError: nothing is saved here, it is damaged, or it was saved from other networks.
         """
         if self.latest is None:
             raise ValueError(f"folder: no checkpoint in {self._checkpointer.directory}; train from the start")
         plain = _plain(like)
         wanted = flatten(plain)
-        metadata = self._checkpointer.metadata(self.latest).metadata
-        stored = metadata["state"] if "state" in metadata else metadata
-        compare({name: leaf.shape for name, leaf in stored.items()}, wanted, self._checkpointer.directory)
+        with self._readable():
+            metadata = self._checkpointer.metadata(self.latest).metadata
+            stored = metadata["state"] if "state" in metadata else metadata
+            shapes = {name: leaf.shape for name, leaf in stored.items()}
+        compare(shapes, wanted, self._checkpointer.directory)
         abstract = {
             name: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=leaf.sharding) for name, leaf in wanted.items()
         }
-        arrays = self._checkpointer.load(self.latest, abstract)
+        with self._readable():
+            arrays = self._checkpointer.load(self.latest, abstract)
         state = jax.tree.unflatten(jax.tree.structure(plain), [arrays[name] for name in wanted])
         return state._replace(key=jax.random.wrap_key_data(state.key, impl=jax.random.key_impl(like.key)))
+
+
+    @contextmanager
+    def _readable(self) -> Iterator[None]:
+        """Whatever goes wrong within is told as a damaged checkpoint; orbax raises many kinds of errors for one."""
+        try:
+            yield
+        except Exception as error:
+            for name in ("asyncio", "absl"):  # which would report orbax's other readers one by one
+                logging.getLogger(name).setLevel(logging.CRITICAL)
+            folder = Path(str(self._checkpointer.directory)) / str(self.latest)
+            raise ValueError(f"{folder}: the checkpoint cannot be read ({type(error).__name__}); remove that folder, and "
+                             "the run continues from the one before, or from the start") from error
 
 
 def save_weights(path: str | os.PathLike, state: nnx.State, *, half: bool = False) -> None:

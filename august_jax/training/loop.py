@@ -37,23 +37,26 @@ Draw = Callable[[Path, Path], None]
 
 
 def train(config: Config, next_batch: NextBatch, out_dir: str | os.PathLike, *, validate: Validate | None = None,
-          draw: Draw | None = None, resume: bool = True, weights: str | os.PathLike | None = None,
+          draw: Draw | None = None, weights: str | os.PathLike | None = None,
           printer: Callable[[str], None] = print) -> TrainState:
     """Train to ``config.train.steps`` and return the last state.
 
     The next batch is made in a thread while a step runs. Every ``save_every`` steps, and at the end, the state is
     saved, ``validate`` is called, whose numbers join the metrics, and ``draw`` draws these.
 
+    It continues from the folder's last checkpoint. Where there is none but a run's weights are, these and its metrics
+    are set aside as ``weights.previous.npz`` and ``metrics.previous.jsonl``.
+
     Args:
         config: everything; written to the folder.
         next_batch: must depend on the step alone, or a continued run sees other data.
         out_dir: made if missing.
-        resume: continue from the folder's last checkpoint if there is one; otherwise start again over it.
         weights: another run's weights, from which a run that starts anew takes what fits.
         printer: takes progress lines.
 
     Raises:
-        ValueError: nothing in ``weights`` fits, or the folder holds a run of another configuration.
+        ValueError: nothing in ``weights`` fits, or the folder holds a run of another configuration, of more steps, or
+            with a damaged checkpoint.
         FloatingPointError: the loss is not finite; names the step and the terms.
     """
     train = config.train
@@ -64,16 +67,23 @@ def train(config: Config, next_batch: NextBatch, out_dir: str | os.PathLike, *, 
     out.mkdir(parents=True, exist_ok=True)
     with Checkpoints(out / "checkpoints") as checkpoints, ThreadPoolExecutor(1) as pool:
         start = 0
-        if resume and checkpoints.latest is not None:
+        if checkpoints.latest is not None:
             _check_same_run(config, out / "config.yaml")
+            if checkpoints.latest > train.steps:
+                raise ValueError(f"train.steps: {train.steps} is less than the {checkpoints.latest} steps that {out} has "
+                                 "done; ask for as many, or choose another folder")
             state = checkpoints.restore(state)
             start = int(state.step)
-            printer(f"continuing from step {start} of {train.steps}")
+            printer(f"continuing from step {start} of {train.steps}"
+                    + ("; --init is for new runs, and this one goes on from its own weights" if weights else ""))
         elif weights is not None:
             printer(f"starting from {weights}" + (f", but for {len(kept)} arrays that it lacks, such as {kept[0]}"
                                                   if kept else ""))
-        write_text(out / "config.yaml", configuration.to_yaml(config))
         metrics = out / "metrics.jsonl"
+        if start == 0:
+            _set_aside(out / "weights.npz", printer)
+            _set_aside(metrics, printer)
+        write_text(out / "config.yaml", configuration.to_yaml(config))
         _forget_after(metrics, start)
         waiting = pool.submit(next_batch, start) if start < train.steps else None
         reports, mark, began = [], time.perf_counter(), None
@@ -145,9 +155,22 @@ def _check_same_run(config: Config, path: Path) -> None:
                              f"{value!r}; continue with the old value or choose another folder")
 
 
+def _set_aside(path: Path, printer: Callable[[str], None]) -> None:
+    """Rename what a run without checkpoints left, so that a new one does not overwrite it."""
+    if path.exists():
+        aside = path.with_name(f"{path.stem}.previous{path.suffix}")
+        path.replace(aside)
+        printer(f"no checkpoint to continue from: {path.name} of the run before is now {aside.name}")
+
+
 def _forget_after(metrics: Path, step: int) -> None:
-    """Drop what a killed run logged beyond its last checkpoint."""
+    """Drop what a killed run logged beyond its last checkpoint, and lines that are no log points."""
+    def kept(line: str) -> bool:
+        try:
+            return json.loads(line)["step"] <= step
+        except (ValueError, KeyError, TypeError):
+            return False
+
     if metrics.exists():
-        lines = [line for line in metrics.read_text(encoding="utf-8").splitlines() if line.endswith("}")]
-        kept = [line for line in lines if json.loads(line)["step"] <= step]
-        write_text(metrics, "".join(line + "\n" for line in kept))
+        lines = metrics.read_text(encoding="utf-8", errors="replace").splitlines()
+        write_text(metrics, "".join(line + "\n" for line in lines if kept(line)))

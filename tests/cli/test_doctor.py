@@ -21,7 +21,7 @@ def test_what_is_broken_is_named(capsys, monkeypatch, tmp_path):
     status = cli.main(["doctor"])
     captured = capsys.readouterr()
     assert status == 2
-    assert captured.err.splitlines() == ["august: failed: cache, weights; august doctor says why"]
+    assert captured.err.splitlines() == ["august: failed: cache, weights; the lines above say why"]
     lines = {line.split()[1]: line for line in captured.out.splitlines()}
     assert lines["cache"].startswith("FAIL") and str(tmp_path) in lines["cache"]
     assert "weights.npz" in lines["weights"]

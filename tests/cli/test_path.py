@@ -6,9 +6,12 @@ and that its numbers hang together. How good the numbers are is not a matter of 
 
 import json
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy.io
+import trimesh
 
 from august_jax import cli, pipeline
 from august_jax.data import Dataset, unpack
@@ -62,12 +65,24 @@ def test_train_leaves_a_run(home):
     assert 0.0 < lines[-1]["validation_prior_m"] < 0.5 * math.sqrt(3.0)
 
 
+def test_commands_keep_off_each_other_s_folders(capsys, home, flown):
+    for words, folder, owner in ((["simulate", "--preset", "smoke"], home / "run", "august train"),
+                                 (["train", "--data", home / "data"], home / "data", "august simulate"),
+                                 (["train", "--data", home / "data"], flown, "august demo"),
+                                 (["demo", "--run", home / "run"], home / "run", "august train")):
+        before = (folder / "config.yaml").read_bytes()
+        message = refused(capsys, *words, "--out", folder)
+        assert str(folder) in message and owner in message
+        assert (folder / "config.yaml").read_bytes() == before
+
+
 @pytest.mark.parametrize("extra, wanted", [
     (["--preset", "laptop"], ["preset: 'laptop'", "'smoke'"]),
     (["array.nx=8"], ["array.nx=8", "made with 4"]),
     (["data.seed=3"], ["data.seed=3", "made with 0"]),
     (["train.batch=64"], ["train.batch", "64"]),
     (["data.count=80"], ["data.count=80", "made with 40"]),
+    (["train.weight_position=-1"], ["train.weight_*", "negative"]),
     (["model.scheme=refchannel"], ["model.scheme=refchannel", "choose august"]),
     (["--init", "nowhere"], ["nowhere/config.yaml", "august train"]),
 ])
@@ -129,6 +144,21 @@ def test_export_of_a_flight(capsys, flown, tmp_path, kind, count):
     result = call(capsys, "export", flown, "--format", kind, "--index", 1, "--out", tmp_path)
     assert result["index"] == 1 and len(result["files"]) == count
     assert {str(path) for path in tmp_path.iterdir()} == set(result["files"])
+    with np.load(flown / "clouds.npz") as track:
+        wanted = {"truth": track["truth"][1], "points": track["points"][1]}
+    if kind == "ply":
+        found = {name: trimesh.load(tmp_path / f"demo_00001_{file}.ply").vertices
+                 for name, file in (("truth", "true"), ("points", "reconstructed"))}
+    else:
+        found = scipy.io.loadmat(result["files"][0]) if kind == "mat" else json.loads(Path(result["files"][0]).read_text())
+    for name, points in wanted.items():
+        np.testing.assert_allclose(found[name], points, atol=1e-6)
+
+
+@pytest.mark.parametrize("content", [b"", b"junk", b"PK\x03\x04 torn"])
+def test_export_of_a_damaged_result_names_the_file(capsys, tmp_path, content):
+    (tmp_path / "clouds.npz").write_bytes(content)
+    assert "clouds.npz is damaged" in refused(capsys, "export", tmp_path, "--format", "ply")
 
 
 def test_export_of_a_sample_is_the_sample(capsys, home, tmp_path):
@@ -181,6 +211,8 @@ def test_reconstruct_a_drone_from_a_file(capsys, home, mesh, tmp_path):
     (["--unit", "mm", "--pitch", "35", "--yaw", "45"], ["by 35 degrees", "30 degrees"]),
     (["--unit", "mm", "--permittivity", "12"], ["permittivity", "12", "1.5 to 5"]),
     (["--unit", "mm", "--conductivity", "2"], ["conductivity", "0.001 to 0.01 S/m"]),
+    (["--unit", "mm", "--pitch", "70", "flight.tilt_deg=80"], ["70 degrees", "30 degrees"]),
+    (["--unit", "mm", "--snr", "300"], ["snr: 300 dB", "0 to 30 dB"]),
 ])
 def test_reconstruct_refuses_what_the_weights_do_not_know(capsys, home, mesh, tmp_path, extra, wanted):
     message = refused(capsys, "reconstruct", "--mesh", mesh, "--run", home / "run", "--out", tmp_path / "out", *extra)

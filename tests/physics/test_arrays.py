@@ -123,6 +123,8 @@ GOOD = scattered()
     ((GOOD.positions[0], GOOD.moments, 3e9), "positions: got shape"),
     ((GOOD.positions, GOOD.moments[:2], 3e9), "moments: got shape"),
     ((GOOD.positions * np.nan, GOOD.moments, 3e9), "positions: holds NaN"),
+    ((jnp.asarray(GOOD.positions), 2.0 * jnp.asarray(GOOD.moments), 3e9), "moments: row 0 has length 2"),
+    (([[0.0, 0.0, 0.0]], [[0.0, 0.0, 2.0]], 3e9), "moments: row 0 has length 2"),
     ((GOOD.positions, 2.0 * GOOD.moments, 3e9), "moments: row . has length 2"),
     ((GOOD.positions, GOOD.moments, -1.0), "frequency_hz"),
 ])
