@@ -280,8 +280,8 @@ def _cell(value: float | None, digits: int) -> str:
 
 def _scheme_table(rows: Sequence[dict[str, Any]], snr: bool) -> str:
     """Rows of metrics as text; with ``snr``, each with its SNR and the bound."""
-    columns = [("MPE [m]", "mpe_m", 3), ("MDE", "mde", 4), ("triples", "mde_triples", 4), ("WD [dB]", "wd_db", 1),
-               ("MCD [dB]", "mcd_db", 1)]
+    columns = [("MPE [m]", "mpe_m", 3), ("+-", "mpe_se_m", 3), ("MDE", "mde", 4), ("triples", "mde_triples", 4),
+               ("WD [dB]", "wd_db", 1), ("MCD [dB]", "mcd_db", 1)]
     if snr:
         columns = [("SNR [dB]", "snr_db", 0), *columns, ("along [m]", "along_m", 3), ("across", "across_m", 3),
                    ("bound [m]", "bound_m", 3), ("of MDE", "bound_mde", 4)]
@@ -330,7 +330,7 @@ def _demo(args: argparse.Namespace) -> dict[str, Any]:
     _note(f"{shot.airframe.name} flies {args.slots} slots, permittivity {shot.permittivity:.2f}, "
           f"conductivity {1e3 * shot.conductivity:.1f} mS/m")
     return _sense(args, networks, config, shot, started, following=[
-        ("august reconstruct --mesh FILE --half-wheelbase 0.25" + _own(args), "your own drone, at one pose of your choice"),
+        ("august reconstruct --mesh FILE --half-wheelbase 0.25" + _own(args), "your own drone, at a pose of your choice"),
         ("august demo --seed 1 --snr 30" + _own(args), "another flight, at a better SNR"),
     ])
 
@@ -584,8 +584,8 @@ def _source(source: Path, index: int) -> tuple[int, dict[str, Any], dict[str, tu
             with (source / "clouds.npz").open("rb") as file, np.load(file) as stored:
                 whole = {each.name: stored[each.name] for each in dataclasses.fields(Track)}
         except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
-            raise ConfigError(f"SOURCE: {source / 'clouds.npz'} is damaged ({type(error).__name__}); make it again with "
-                              "august demo or august reconstruct") from None
+            raise ConfigError(f"SOURCE: {source / 'clouds.npz'} is damaged ({type(error).__name__}); make it again "
+                              "with august demo or august reconstruct") from None
         index = _place(index, len(whole["time_s"]), source)
         record = {name: value[index] if np.ndim(value) else value for name, value in whole.items()}
         material = record["permittivity"], record["conductivity"]

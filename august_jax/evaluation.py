@@ -177,12 +177,17 @@ def score(answer: Mapping[str, Any], truth: Mapping[str, Any], size_m: float) ->
         size_m: half-wheelbase of the craft [m].
 
     Returns:
-        ``mpe_m`` [m], ``mde``, ``mde_triples``, ``wd_db`` and ``mcd_db`` [dB re 1 m^2], ``wd_size_db`` [dB].
+        ``mpe_m`` [m] and its standard error ``mpe_se_m`` [m] (None for one sample), ``mde``, ``mde_triples``, ``wd_db``
+        and ``mcd_db`` [dB re 1 m^2], ``wd_size_db`` [dB].
     """
     place = answer.get("position", answer.get("about"))
-    values: dict[str, float | None] = dict.fromkeys(("mpe_m", "mde", "mde_triples", "wd_db", "wd_size_db", "mcd_db"))
+    values: dict[str, float | None] = dict.fromkeys(
+        ("mpe_m", "mpe_se_m", "mde", "mde_triples", "wd_db", "wd_size_db", "mcd_db"))
     if "position" in answer:
         values["mpe_m"] = float(metrics.mpe_m(answer["position"], truth["position"]))
+        errors = np.linalg.norm(np.asarray(answer["position"]) - truth["position"], axis=-1)
+        if len(errors) > 1:
+            values["mpe_se_m"] = float(np.std(errors, ddof=1) / np.sqrt(len(errors)))
     if "normal" in answer:
         values["mde"] = float(metrics.mde(answer["normal"], truth["normal"]))
         values["mde_triples"] = float(metrics.mde(answer.get("triples", answer["normal"]), truth["normal"]))

@@ -22,7 +22,7 @@ def test_a_shifted_answer_errs_in_position_alone():
     true, shift = truth(), np.array([0.3, 0.0, 0.4])
     scores = evaluation.score({"position": true["position"] + shift, "normal": true["normal"],
                                "cloud": true["cloud"] + shift}, true, 0.1)
-    assert scores["mpe_m"] == pytest.approx(0.5)
+    assert scores["mpe_m"] == pytest.approx(0.5) and scores["mpe_se_m"] == pytest.approx(0.0, abs=1e-6)
     assert scores["mde"] == pytest.approx(0.0, abs=1e-6)
     # clouds are compared about their own means: what is left of the shift is the position's share, 10 log10(0.5^2)
     assert scores["wd_db"] == pytest.approx(10 * np.log10(0.25), abs=1e-3)
@@ -34,7 +34,9 @@ def test_what_an_answer_lacks_is_not_scored():
     true = truth()
     level = pytest.approx(0.0, abs=1e-6)
     assert evaluation.score({"normal": true["normal"]}, true, 0.25) == {
-        "mpe_m": None, "mde": level, "mde_triples": level, "wd_db": None, "wd_size_db": None, "mcd_db": None}
+        "mpe_m": None, "mpe_se_m": None, "mde": level, "mde_triples": level, "wd_db": None, "wd_size_db": None, "mcd_db": None}
+    scattered = true["position"] + [[0.1, 0.0, 0.0], [0.0, 0.2, 0.0], [0.0, 0.0, 0.3]]
+    assert evaluation.score({"position": scattered}, true, 0.25)["mpe_se_m"] == pytest.approx(0.1 / np.sqrt(3.0))
     tilted = np.tile([0.6, 0.0, 0.8], (3, 1))
     scores = evaluation.score({"normal": true["normal"], "triples": tilted}, true, 0.25)
     assert scores["mde"] == level and scores["mde_triples"] == pytest.approx(0.2)
