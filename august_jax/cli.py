@@ -330,7 +330,7 @@ def _demo(args: argparse.Namespace) -> dict[str, Any]:
     _note(f"{shot.airframe.name} flies {args.slots} slots, permittivity {shot.permittivity:.2f}, "
           f"conductivity {1e3 * shot.conductivity:.1f} mS/m")
     return _sense(args, networks, config, shot, started, following=[
-        ("august reconstruct --mesh FILE --half-wheelbase 0.25" + _own(args), "your own drone, at a pose of your choice"),
+        ("august reconstruct --mesh FILE --half-wheelbase 0.25" + _own(args), "your own drone, in any pose"),
         ("august demo --seed 1 --snr 30" + _own(args), "another flight, at a better SNR"),
     ])
 

@@ -34,7 +34,8 @@ def test_what_an_answer_lacks_is_not_scored():
     true = truth()
     level = pytest.approx(0.0, abs=1e-6)
     assert evaluation.score({"normal": true["normal"]}, true, 0.25) == {
-        "mpe_m": None, "mpe_se_m": None, "mde": level, "mde_triples": level, "wd_db": None, "wd_size_db": None, "mcd_db": None}
+        "mpe_m": None, "mpe_se_m": None, "mde": level, "mde_triples": level, "wd_db": None, "wd_size_db": None,
+        "mcd_db": None}
     scattered = true["position"] + [[0.1, 0.0, 0.0], [0.0, 0.2, 0.0], [0.0, 0.0, 0.3]]
     assert evaluation.score({"position": scattered}, true, 0.25)["mpe_se_m"] == pytest.approx(0.1 / np.sqrt(3.0))
     tilted = np.tile([0.6, 0.0, 0.8], (3, 1))

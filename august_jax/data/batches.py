@@ -53,12 +53,12 @@ class Dataset:
             except (OSError, ValueError, EOFError, TypeError):
                 short = ["meta.json or an array"]
             if short:
-                raise DataError(f"{folder / name}: {short[0]} is damaged; run the same `august simulate` once more with "
-                                "--verify, which makes it again")
+                raise DataError(f"{folder / name}: {short[0]} is damaged; run the same `august simulate` once more "
+                                "with --verify, which makes it again")
             self._shards.append(fields)
         if manifest["rows"] < manifest["wanted"]:
-            raise DataError(f"{folder}: holds {manifest['rows']} of {manifest['wanted']} samples; run the `august simulate` "
-                            "that made them once more: it makes what is missing")
+            raise DataError(f"{folder}: holds {manifest['rows']} of {manifest['wanted']} samples; run the `august "
+                            "simulate` that made them once more: it makes what is missing")
         self._starts = np.cumsum([0, *(len(fields["flight"]) for fields in self._shards)])
         self.count = int(self._starts[-1])
         self.flights = np.concatenate([fields["flight"] for fields in self._shards])

@@ -21,8 +21,9 @@ A complex symmetric, A = A^T. Four properties of it are used:
 
   is stationary at the solution. The error of H is the square of that of P, and dH follows from dE', dD and dK' with P
   held fixed: a reciprocal array needs no adjoint solve, in either direction of differentiation. (Second derivatives
-  would miss how P moves: they raise, see :func:`differentiable_once`; take those through ``mom``.) D^{-1} appears as y^T y and, differentiated, as q^T dD q with the
-  total field q = E' + K' P, so that cells of no contrast are no exception.
+  would miss how P moves: they raise, see :func:`differentiable_once`; take those through ``mom``.) D^{-1} appears as
+  y^T y and, differentiated, as q^T dD q with the total field q = E' + K' P, so that cells of no contrast are no
+  exception.
 
 Where the residual is not reached (metal-like contrast, resonance) the same system is solved by LU, and the solution
 says so.

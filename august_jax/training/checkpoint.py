@@ -92,8 +92,8 @@ class Checkpoints:
             for name in ("asyncio", "absl"):  # which would report orbax's other readers one by one
                 logging.getLogger(name).setLevel(logging.CRITICAL)
             folder = Path(str(self._checkpointer.directory)) / str(self.latest)
-            raise ValueError(f"{folder}: the checkpoint cannot be read ({type(error).__name__}); remove that folder, and "
-                             "the run continues from the one before, or from the start") from error
+            raise ValueError(f"{folder}: the checkpoint cannot be read ({type(error).__name__}); remove that folder, "
+                             "and the run continues from the one before, or from the start") from error
 
 
 def save_weights(path: str | os.PathLike, state: nnx.State, *, half: bool = False) -> None:

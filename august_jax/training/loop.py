@@ -70,8 +70,8 @@ def train(config: Config, next_batch: NextBatch, out_dir: str | os.PathLike, *, 
         if checkpoints.latest is not None:
             _check_same_run(config, out / "config.yaml")
             if checkpoints.latest > train.steps:
-                raise ValueError(f"train.steps: {train.steps} is less than the {checkpoints.latest} steps that {out} has "
-                                 "done; ask for as many, or choose another folder")
+                raise ValueError(f"train.steps: {train.steps} is less than the {checkpoints.latest} steps that {out} "
+                                 "has done; ask for as many, or choose another folder")
             state = checkpoints.restore(state)
             start = int(state.step)
             printer(f"continuing from step {start} of {train.steps}"

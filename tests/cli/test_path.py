@@ -150,7 +150,8 @@ def test_export_of_a_flight(capsys, flown, tmp_path, kind, count):
         found = {name: trimesh.load(tmp_path / f"demo_00001_{file}.ply").vertices
                  for name, file in (("truth", "true"), ("points", "reconstructed"))}
     else:
-        found = scipy.io.loadmat(result["files"][0]) if kind == "mat" else json.loads(Path(result["files"][0]).read_text())
+        path = Path(result["files"][0])
+        found = scipy.io.loadmat(path) if kind == "mat" else json.loads(path.read_text())
     for name, points in wanted.items():
         np.testing.assert_allclose(found[name], points, atol=1e-6)
 
