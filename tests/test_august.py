@@ -180,7 +180,8 @@ def test_the_paper_s_networks_have_the_paper_s_sizes():
     assert [layers[index]["linear"]["kernel"].shape for index in range(12)] == list(zip(widths, widths[1:]))
     assert layers[0]["gate"]["kernel"].shape == (5 + 256, 16)
     assert len(state["prior"]["conditioners"]) == 14 and len(state["encoder"]["trunk"]["blocks"]) == 6
-    assert state["encoder"]["channel_map"]["kernel"].shape == (2 * 64 * 64, 256)
+    # Real and imaginary parts of the channel, and the level that their normalisation takes out.
+    assert state["encoder"]["channel_map"]["kernel"].shape == (2 * 64 * 64 + 1, 256)
     assert state["encoder"]["position_head"]["layers"][0]["kernel"].shape[0] == 3 * 21
     assert parameter_count(state) == ravel_pytree(state)[0].size
 
