@@ -35,6 +35,7 @@ def examine(out: Path) -> Iterator[Check]:
                                 f"{os.cpu_count()} CPU cores")
     yield _guarded("packages", _packages)
     yield _guarded("devices", _devices)
+    yield _guarded("sums", _sums)
     yield _guarded("physics", _physics)
     yield _guarded("cache", _cache)
     out = next(path for path in (out, *out.absolute().parents) if path.is_dir())
@@ -67,6 +68,20 @@ def _devices() -> tuple[bool, str]:
     import jax
 
     return True, ", ".join(str(device) for device in jax.devices())
+
+
+def _sums() -> tuple[bool, str]:
+    import jax
+    import jax.numpy as jnp
+    import numpy as np
+
+    first, second = (np.sin(scale * np.arange(192.0, dtype=np.float32)).reshape(64, 3) for scale in (1.0, 2.0))
+    rows = np.cos(np.arange(500.0, dtype=np.float32))[:, None]
+    fused = jax.jit(jax.vmap(lambda one: jnp.sum(first * one, axis=-1) + rows))(second)
+    error = np.abs(np.asarray(fused) - ((second @ first.T)[:, None] + rows)).max()
+    return bool(error < 1e-4), ("sums that are broadcast come out right" if error < 1e-4 else
+                                f"XLA fuses sums wrongly (off by {error:.1g}): import august_jax before JAX computes, or "
+                                "set XLA_FLAGS=--xla_cpu_experimental_ynn_fusion_type=-reduce")
 
 
 def _physics() -> tuple[bool, str]:

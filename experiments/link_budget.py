@@ -4,8 +4,8 @@
     python experiments/link_budget.py draw                  reads it, writes experiments/results/link_budget.png
 
 Samples of the preset, as `august simulate` makes them, but that every one transmits at 25 dBm: the SNR in dB moves with
-the power in dBm. The thickness of the craft's skin is what sets the strength of the echo: 0.5 mm, as in the preset, and
-2 mm, as in `laptop`.
+the power in dBm. The thickness of the craft's skin is what sets the strength of the echo: that of the preset, and that
+of `laptop`.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from august_jax.data import generate, prepare_targets
 from august_jax.plotting import new_figure, save
 
 POWER_DBM = 25.0
-SKINS_M = (0.0005, 0.002)
+SKINS_M = tuple(preset(name).target.skin_m for name in ("paper", "laptop"))
 
 
 def compute(small: bool, report=print) -> dict[str, np.ndarray]:

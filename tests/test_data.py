@@ -48,6 +48,17 @@ def test_the_channel_is_that_of_the_cells_in_that_pose(targets):
     assert np.linalg.norm(channel - exact) < 2e-4 * np.linalg.norm(exact)
 
 
+def test_the_paper_s_echo_lies_in_its_link_budget():
+    """50 to 100 cm^3 of material and -3 to 30 dB from 10 to 40 dBm, so 12 to 15 dB in the middle."""
+    paper = override(preset("paper"), ["target.airframes=[quad_x]", "data.solver=local_field_born",
+                                       "signal.power_dbm=[25, 25]"])
+    targets = data.prepare_targets(paper)
+    cells = targets[0].cells
+    assert 50e-6 < np.sum(cells.fill * cells.volumes) < 100e-6
+    heard = data.generate(paper, np.arange(64) * paper.flight.slots, targets)["snr_db"]
+    assert 10.0 < np.median(heard) < 17.0
+
+
 def test_labels_lie_on_the_airframe_and_are_centred_on_the_position(folder):
     samples = data.Dataset(folder).read(np.arange(48))
     assert np.abs(samples["points"].mean(axis=1)).max() < 0.1  # 64 points of a craft 0.2 m about its centroid

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from august_jax.constants import SPEED_OF_LIGHT
+from august_jax.physics.green import inner
 
 
 def wavenumber(frequency_hz: float | jax.Array) -> float | jax.Array:
@@ -88,7 +89,7 @@ class PlanarArray:
     def spherical(self, point: jax.Array) -> jax.Array:
         """Spherical-wave vector (N_b,): e^{jk|q - p_n|} of a point q (3,) [m]."""
         offset = point - jnp.asarray(self.positions, point.dtype)
-        return jnp.exp(1j * self.wavenumber * jnp.sqrt(jnp.sum(offset**2, axis=-1)))
+        return jnp.exp(1j * self.wavenumber * jnp.sqrt(inner(offset, offset)))
 
 
 @jax.tree_util.register_dataclass

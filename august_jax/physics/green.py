@@ -20,6 +20,16 @@ import numpy as np
 _FOUR_PI = 4.0 * np.pi
 
 
+def inner(first: jax.Array, second: jax.Array) -> jax.Array:
+    """Scalar products (...,) of vectors (..., 3).
+
+    Written out: XLA for CPUs (jaxlib 0.10.2) fuses ``jnp.sum(a * b, axis=-1)`` with the broadcast of its result into a
+    kernel that reads wrong rows from 1000 or so of them on, which under ``vmap`` spoiled the fields of all targets but
+    the first.
+    """
+    return (first[..., 0] * second[..., 0] + first[..., 1] * second[..., 1]) + first[..., 2] * second[..., 2]
+
+
 def dyadic_green(displacement: jax.Array, wavenumber: float | jax.Array) -> jax.Array:
     """G for displacements p1 - p2.
 
@@ -30,7 +40,7 @@ def dyadic_green(displacement: jax.Array, wavenumber: float | jax.Array) -> jax.
     Returns:
         (..., 3, 3) complex [1/m], of the precision of ``displacement``.
     """
-    r = jnp.sqrt(jnp.sum(displacement**2, axis=-1))
+    r = jnp.sqrt(inner(displacement, displacement))
     unit = displacement / r[..., None]
     g, h = _radial_factors(wavenumber * r)
     wave = jnp.exp(1j * wavenumber * r) / (_FOUR_PI * r)
@@ -69,7 +79,7 @@ def _coupling_tangent(wavenumber, primals, tangents):
     """
     (positions,), (moved,) = primals, tangents
     separation, same = _separations(positions)
-    r = jnp.sqrt(jnp.sum(separation**2, axis=-1))
+    r = jnp.sqrt(inner(separation, separation))
     unit = [separation[..., axis] / r for axis in range(3)]
     k = wavenumber
     g, h = _radial_factors(k * r)
@@ -144,11 +154,11 @@ def dipole_fields_about(
     """
     whole, rest = _long_distance(base)
     to_middle = base - elements
-    to_middle_r = jnp.sqrt(jnp.sum(to_middle**2, axis=-1))
-    element_shift = jnp.sum(elements * (elements - 2.0 * base), axis=-1) / (whole + rest + to_middle_r)
+    to_middle_r = jnp.sqrt(inner(to_middle, to_middle))
+    element_shift = inner(elements, elements - 2.0 * base) / (whole + rest + to_middle_r)
     displacement = local[:, None] + to_middle
-    r = jnp.sqrt(jnp.sum(displacement**2, axis=-1))
-    local_shift = (2.0 * local @ to_middle.T + jnp.sum(local**2, axis=-1)[:, None]) / (r + to_middle_r)
+    r = jnp.sqrt(inner(displacement, displacement))
+    local_shift = (2.0 * local @ to_middle.T + inner(local, local)[:, None]) / (r + to_middle_r)
     # Whole turns of the long part go: twelve bits of distance times as many of 1/wavelength make an exact product.
     per_turn = wavenumber / (2.0 * np.pi)
     short_turn = np.round(16.0 * per_turn) / 16.0
@@ -158,7 +168,7 @@ def dipole_fields_about(
     g, h = _radial_factors(wavenumber * r)
     wave = jnp.exp(1j * phase) / (_FOUR_PI * r)
     moments = jnp.broadcast_to(jnp.asarray(moments, local.dtype), elements.shape)
-    along = jnp.sum(displacement * moments, axis=-1) / r**2
+    along = inner(displacement, moments) / r**2
     return (wave * g * along)[..., None] * displacement - (wave * h)[..., None] * moments
 
 
@@ -170,10 +180,10 @@ def _radial_factors(kr):
 
 def _long_distance(vector):
     """|vector| as a number of twelve bits, a constant for differentiation, and the rest with all its digits."""
-    length = jnp.sqrt(jnp.sum(vector**2))
+    length = jnp.sqrt(inner(vector, vector))
     unit = jnp.exp2(jnp.ceil(jnp.log2(jax.lax.stop_gradient(length))) - 12.0)
     whole, coarse = (jax.lax.stop_gradient(jnp.round(value / unit) * unit) for value in (length, vector))
     fine = vector - coarse
     # |vector|^2 - whole^2: the squares of twelve-bit numbers and their sum are exact, the other terms are small.
-    excess = (jnp.sum(coarse**2) - whole**2) + jnp.sum(fine * (2.0 * coarse + fine))
+    excess = (inner(coarse, coarse) - whole**2) + inner(fine, 2.0 * coarse + fine)
     return whole, excess / (length + whole)

@@ -23,6 +23,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from august_jax.physics.green import inner
+
 
 
 def default_count(nx: int, nz: int) -> int:
@@ -90,8 +92,8 @@ def path_differences(positions: jax.Array, point: jax.Array) -> jax.Array:
     """|q - p_n| - |q| (N_b,) [m] without the cancellation that costs the digits of a float32 phase."""
     distance = jnp.linalg.norm(point)
     offsets = point - positions
-    lengths = jnp.sqrt(jnp.sum(offsets**2, axis=-1))
-    return (jnp.sum(positions**2, axis=-1) - 2.0 * positions @ point) / (lengths + distance)
+    lengths = jnp.sqrt(inner(offsets, offsets))
+    return (inner(positions, positions) - 2.0 * positions @ point) / (lengths + distance)
 
 
 def spherical_phases(positions: jax.Array, predicted: jax.Array, wavenumber) -> jax.Array:

@@ -186,6 +186,22 @@ def test_gradients_agree_with_differences():
             np.testing.assert_allclose(slope, (ahead - behind) / (2 * step), rtol=1e-5)
 
 
+@pytest.mark.parametrize("solver", ["born", "local_field_born"])
+def test_a_large_batch_is_the_single_case_again(solver):
+    """64 targets at once, from where on a compiler has fused the sums of all but the first wrongly."""
+    array, cells = PlanarArray(16, 4, 3e9), jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), sphere(0.08, 9))
+    rng = np.random.default_rng(0)
+    places = jnp.asarray(rng.uniform([10, 10, 10], [30, 30, 20], (64, 3)), jnp.float32)
+    turns = jnp.asarray(np.stack([turned(angles) for angles in rng.uniform(-0.3, 0.3, (64, 3))]), jnp.float32)
+
+    def channel(turn, place):
+        return sensing_channel(array, cells.moved(turn, place), CHI, solver=solver)
+
+    together = np.asarray(jax.jit(jax.vmap(channel))(turns, places))
+    alone = np.asarray(jax.lax.map(lambda pose: channel(*pose), (turns, places)))
+    assert (np.linalg.norm(together - alone, axis=(1, 2)) < 1e-4 * np.linalg.norm(alone, axis=(1, 2))).all()
+
+
 def test_tones_and_batches_are_maps_of_the_single_case():
     cells = placed(cross())
     tones = (2.9e9, 3.1e9)
