@@ -14,7 +14,8 @@ from importlib.metadata import version
 
 __version__ = "0.1.0"
 
-_FUSION = "--xla_cpu_experimental_ynn_fusion_type"
+UNFUSED_SUMS = "--xla_cpu_experimental_ynn_fusion_type=-reduce"
+"""What ``XLA_FLAGS`` is told; a setting of the user's own stays."""
 # Other versions may not know the flag, and XLA ends the process at flags that it does not know.
-if version("jaxlib").startswith("0.10.") and _FUSION not in os.environ.get("XLA_FLAGS", ""):
-    os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {_FUSION}=-reduce".strip()
+if version("jaxlib").startswith("0.10.") and UNFUSED_SUMS.split("=")[0] not in os.environ.get("XLA_FLAGS", ""):
+    os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {UNFUSED_SUMS}".strip()

@@ -12,6 +12,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple
 
+from august_jax import UNFUSED_SUMS
+
 PACKAGES = ("jax", "jaxlib", "numpy", "scipy", "flax", "distrax", "optax", "orbax-checkpoint", "trimesh", "PyYAML",
             "matplotlib")
 _ROOM_BYTES = 2 * 1024**3
@@ -81,7 +83,7 @@ def _sums() -> tuple[bool, str]:
     error = np.abs(np.asarray(fused) - ((second @ first.T)[:, None] + rows)).max()
     return bool(error < 1e-4), ("sums that are broadcast come out right" if error < 1e-4 else
                                 f"XLA fuses sums wrongly (off by {error:.1g}): import august_jax before JAX computes, or "
-                                "set XLA_FLAGS=--xla_cpu_experimental_ynn_fusion_type=-reduce")
+                                f"set XLA_FLAGS={UNFUSED_SUMS}")
 
 
 def _physics() -> tuple[bool, str]:

@@ -24,8 +24,8 @@ def inner(first: jax.Array, second: jax.Array) -> jax.Array:
     """Scalar products (...,) of vectors (..., 3).
 
     Written out: XLA for CPUs (jaxlib 0.10.2) fuses ``jnp.sum(a * b, axis=-1)`` with the broadcast of its result into a
-    kernel that reads wrong rows from 1000 or so of them on, which under ``vmap`` spoiled the fields of all targets but
-    the first.
+    kernel that reads wrong rows where the result is large, which under ``vmap`` spoiled the fields of all of 64 targets
+    but the first.
     """
     return (first[..., 0] * second[..., 0] + first[..., 1] * second[..., 1]) + first[..., 2] * second[..., 2]
 

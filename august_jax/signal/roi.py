@@ -26,7 +26,6 @@ import numpy as np
 from august_jax.physics.green import inner
 
 
-
 def default_count(nx: int, nz: int) -> int:
     """K where none is asked for: 15 up to 64 antennas, 28 beyond, and fewer than antennas where there are several.
 
