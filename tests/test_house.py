@@ -10,11 +10,13 @@ import pytest
 import august_jax
 
 ROOT = Path(august_jax.__file__).parent
-BASE = {"constants", "config", "files"}
+BASE = {"constants", "config", "files", "arrays", "progress"}
 ALLOWED = {
     "constants": set(),
     "config": set(),
     "files": set(),
+    "arrays": set(),
+    "progress": set(),
     "physics": BASE,
     "signal": BASE | {"physics"},
     "scene": BASE | {"physics.cells"},
