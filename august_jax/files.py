@@ -1,12 +1,20 @@
-"""Files that appear whole or not at all: written aside, flushed to the disk, renamed."""
+"""Files that appear whole or not at all: written aside, flushed to the disk, renamed; and damaged ones, told as such."""
 
 from __future__ import annotations
 
 import os
 import threading
+import zipfile
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+
+import numpy as np
+
+
+class DamagedFile(ValueError):
+    """A file is there but cannot be read as what it should be."""
 
 
 @contextmanager
@@ -19,12 +27,45 @@ def replacing(path: str | Path) -> Iterator[Path]:
         yield aside
         with aside.open("rb+") as file:
             os.fsync(file.fileno())
-        os.replace(aside, path)
+        rename(aside, path)
     finally:
         aside.unlink(missing_ok=True)
+
+
+def rename(source: Path, target: Path) -> None:
+    """Put ``source`` in the place of ``target``; the new name is on the disk when this returns."""
+    os.replace(source, target)
+    if os.name == "posix":  # elsewhere folders cannot be opened
+        folder = os.open(target.parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
 
 
 def write_text(path: str | Path, text: str) -> None:
     """Write UTF-8 text."""
     with replacing(path) as aside:
         aside.write_text(text, encoding="utf-8")
+
+
+def read_npz(path: str | Path) -> dict[str, np.ndarray]:
+    """All arrays of a ``.npz`` file by name; what is in it is data alone, never executed.
+
+    Raises:
+        FileNotFoundError: no such file.
+        DamagedFile: it is damaged, or no ``.npz``; the message names it and says what is wrong.
+    """
+    path = Path(path)
+    try:
+        with path.open("rb") as file:
+            stored = np.load(file, allow_pickle=False)
+            if isinstance(stored, np.ndarray):
+                raise ValueError("it holds one bare array")
+            with stored:
+                return {name: stored[name] for name in stored.files}
+    except (FileNotFoundError, MemoryError):
+        raise
+    except (OSError, ValueError, EOFError, KeyError, NotImplementedError, zipfile.BadZipFile, zlib.error) as error:
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise DamagedFile(f"{path}: is damaged, or no .npz file ({reason})") from None

@@ -10,13 +10,14 @@ import pytest
 import august_jax
 
 ROOT = Path(august_jax.__file__).parent
-BASE = {"constants", "config", "files", "arrays", "progress"}
+BASE = {"constants", "config", "files", "arrays", "progress", "streams"}
 ALLOWED = {
     "constants": set(),
     "config": set(),
     "files": set(),
     "arrays": set(),
     "progress": set(),
+    "streams": set(),
     "physics": BASE,
     "signal": BASE | {"physics"},
     "scene": BASE | {"physics.cells"},
