@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from august_jax.config import ArrayConfig
 from august_jax.constants import SPEED_OF_LIGHT
 from august_jax.physics.green import inner
 
@@ -47,6 +48,11 @@ class PlanarArray:
         if np.shape(self.polarization) != (3,) or abs(np.linalg.norm(self.polarization) - 1.0) > 1e-6:
             raise ValueError(f"polarization: got {self.polarization!r}; give a unit vector of three numbers")
 
+    @classmethod
+    def from_config(cls, array: ArrayConfig) -> PlanarArray:
+        """The base station's array as it is configured."""
+        return cls(array.nx, array.nz, array.frequency_hz)
+
     @property
     def count(self) -> int:
         """Number of elements N_b."""
@@ -58,6 +64,11 @@ class PlanarArray:
         return SPEED_OF_LIGHT / self.frequency_hz
 
     @property
+    def spacing_m(self) -> float:
+        """Distance between neighbours, half a wavelength [m]."""
+        return self.wavelength / 2.0
+
+    @property
     def wavenumber(self) -> float:
         """k at the carrier [rad/m]."""
         return wavenumber(self.frequency_hz)
@@ -65,8 +76,8 @@ class PlanarArray:
     @property
     def positions(self) -> np.ndarray:
         """Element positions (N_b, 3), float64 [m]."""
-        x = (np.arange(self.nx) - (self.nx - 1) / 2.0) * self.wavelength / 2.0
-        z = (np.arange(self.nz) - (self.nz - 1) / 2.0) * self.wavelength / 2.0
+        x = (np.arange(self.nx) - (self.nx - 1) / 2.0) * self.spacing_m
+        z = (np.arange(self.nz) - (self.nz - 1) / 2.0) * self.spacing_m
         grid_x, grid_z = np.meshgrid(x, z, indexing="ij")
         return np.stack([grid_x, np.zeros_like(grid_x), grid_z], axis=-1).reshape(-1, 3)
 

@@ -16,6 +16,9 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
+
+from august_jax.arrays import Array
 
 _FOUR_PI = 4.0 * np.pi
 
@@ -28,6 +31,23 @@ def inner(first: jax.Array, second: jax.Array) -> jax.Array:
     but the first.
     """
     return (first[..., 0] * second[..., 0] + first[..., 1] * second[..., 1]) + first[..., 2] * second[..., 2]
+
+
+def path_difference(offset: Float[Array, "*n 3"], base: Float[Array, "*m 3"]) -> Float[jax.Array, "*k"]:
+    """|b - o| - |b|: how much nearer or farther a place b is from a point o than from the origin, to all digits.
+
+    The difference of two long distances is written as (o.o - 2 o.b)/(|b - o| + |b|), a quotient without cancellation:
+    its relative error stays that of one rounding, which keeps the phases of float32 over 25 m.
+
+    Args:
+        offset: o (..., 3) [m], short beside b; an antenna about its array's centre, say.
+        base: b (3,) or (..., 3) [m], not zero, and nowhere equal to o where derivatives are taken.
+
+    Returns:
+        (...,) [m], of the precision of the arguments. Differentiable in both.
+    """
+    rest = base - offset
+    return inner(offset, offset - 2.0 * base) / (jnp.sqrt(inner(rest, rest)) + jnp.sqrt(inner(base, base)))
 
 
 def dyadic_green(displacement: jax.Array, wavenumber: float | jax.Array) -> jax.Array:
@@ -155,16 +175,17 @@ def dipole_fields_about(
     whole, rest = _long_distance(base)
     to_middle = base - elements
     to_middle_r = jnp.sqrt(inner(to_middle, to_middle))
-    element_shift = inner(elements, elements - 2.0 * base) / (whole + rest + to_middle_r)
     displacement = local[:, None] + to_middle
     r = jnp.sqrt(inner(displacement, displacement))
+    # path_difference of all pairs at once, with the numerator as a matrix product: 5 % of a factored channel's time.
     local_shift = (2.0 * local @ to_middle.T + inner(local, local)[:, None]) / (r + to_middle_r)
+    shift = path_difference(elements, base) + local_shift
     # Whole turns of the long part go: twelve bits of distance times as many of 1/wavelength make an exact product.
     per_turn = wavenumber / (2.0 * np.pi)
     short_turn = np.round(16.0 * per_turn) / 16.0
     turns = whole * short_turn
     fraction = (turns - jnp.round(turns)) + whole * (per_turn - short_turn)
-    phase = 2.0 * np.pi * fraction + wavenumber * (rest + element_shift + local_shift)
+    phase = 2.0 * np.pi * fraction + wavenumber * (rest + shift)
     g, h = _radial_factors(wavenumber * r)
     wave = jnp.exp(1j * phase) / (_FOUR_PI * r)
     moments = jnp.broadcast_to(jnp.asarray(moments, local.dtype), elements.shape)

@@ -48,7 +48,7 @@ from august_jax.files import replacing
 from august_jax.physics.array import AntennaArray, PlanarArray, wavenumber
 from august_jax.physics.cells import Cells
 from august_jax.physics.checks import check_cells, is_concrete
-from august_jax.physics.green import dipole_fields_about, dyadic_green, inner
+from august_jax.physics.green import dipole_fields_about, dyadic_green, path_difference
 from august_jax.physics.mom import own_blocks
 
 NODES = (0.5, 2.0, 5.0)
@@ -321,11 +321,7 @@ def _modal_fields(body, tone, array, rotation, translation):
     if not planar:
         return modal, None
     # Interpolation over the aperture, on fields whose phases to the body's centre are removed.
-    to_centre = base - elements
-    r = jnp.sqrt(inner(to_centre, to_centre))
-    far = jnp.sqrt(inner(base, base))
-    path = inner(elements, elements - 2.0 * base) / (r + far)
-    return modal, _Aperture(chosen, spread, jnp.exp(1j * k * path))
+    return modal, _Aperture(chosen, spread, jnp.exp(1j * k * path_difference(elements, base)))
 
 
 @lru_cache(maxsize=64)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from august_jax.physics import PlanarArray, coupling_matrix, dipole_fields, dyadic_green, wavenumber
+from august_jax.physics.green import path_difference
 
 K = wavenumber(3e9)
 
@@ -88,3 +89,17 @@ def test_steering_is_the_far_limit_of_the_spherical_wave():
 def test_bad_arrays_are_refused(arguments, message):
     with pytest.raises(ValueError, match=message):
         PlanarArray(*arguments)
+
+
+@pytest.mark.parametrize("shape", [(7, 3), (4, 7, 3)])
+def test_path_differences_keep_their_digits_in_single_precision(shape):
+    """The plain difference of distances of 40 m is rounded to 4e-6 m, 2.4e-4 rad; here to that of the difference."""
+    random = np.random.default_rng(5)
+    offset = random.uniform(-0.4, 0.4, shape).astype(np.float32)
+    base = random.uniform(15.0, 25.0, (*shape[:-2], 1, 3)).astype(np.float32)
+    exact = np.linalg.norm(base.astype(float) - offset, axis=-1) - np.linalg.norm(base.astype(float), axis=-1)
+    np.testing.assert_allclose(path_difference(jnp.asarray(offset), jnp.asarray(base)), exact, rtol=0, atol=1e-7)
+    assert path_difference(jnp.zeros(3), jnp.asarray(base[..., 0, :])).shape == shape[:-2]
+    with jax.enable_x64(True):
+        slope = jax.grad(lambda at: path_difference(jnp.zeros(3), at))(jnp.asarray([3.0, 4.0, 0.0]))
+    np.testing.assert_allclose(slope, 0.0, atol=1e-12)
