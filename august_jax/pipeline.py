@@ -106,7 +106,7 @@ class Track:
         return self.rotation[..., :, 2]
 
     def record(self) -> dict[str, np.ndarray]:
-        """The attributes as a flat mapping, fit for :func:`august_jax.export.write_record`."""
+        """The attributes as a flat mapping, fit for :func:`august_jax.app.export.write_record`."""
         return {name: np.asarray(value) for name, value in asdict(self).items()}
 
 

@@ -43,7 +43,7 @@ def main() -> None:
     for _ in range(args.repeats):
         timed["import jax"].append(command_seconds(sys.executable, "-c", "import jax"))
         timed["import august_jax"].append(command_seconds(sys.executable, "-c", "import jax, august_jax"))
-        timed["august --help"].append(command_seconds(sys.executable, "-m", "august_jax.cli", "--help"))
+        timed["august --help"].append(command_seconds(sys.executable, "-m", "august_jax.app.cli", "--help"))
     for name, values in timed.items():
         figures[name] = float(np.median(values))
         print(f"{name:18s} {figures[name]:8.2f} s")
@@ -51,7 +51,7 @@ def main() -> None:
     if args.count:
         with tempfile.TemporaryDirectory() as folder:
             output = subprocess.run(
-                [sys.executable, "-m", "august_jax.cli", "simulate", "--preset", args.preset, "--out", folder, "--json",
+                [sys.executable, "-m", "august_jax.app.cli", "simulate", "--preset", args.preset, "--out", folder, "--json",
                  f"data.count={args.count}"], check=True, capture_output=True, text=True).stdout
         figures["simulate"] = json.loads(output)
         print(f"simulate {args.preset}: {figures['simulate']['samples_per_s']:.1f} samples/s, all counted")

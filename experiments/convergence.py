@@ -20,7 +20,7 @@ import numpy as np
 from script import run
 
 from august_jax.physics import PlanarArray, contrast, sensing_channel
-from august_jax.plotting import new_figure, save
+from august_jax.app.plotting import new_figure, save
 from august_jax.scene import procedural_airframe, rotation_from_euler
 
 PLACE = np.array([3.0, 4.5, 2.5])

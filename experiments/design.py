@@ -23,7 +23,7 @@ from script import run
 from august_jax.physics import (
     AntennaArray, PlanarArray, body_channel, contrast, factor_body, unknown_gain_position_bound,
 )
-from august_jax.plotting import new_figure, save
+from august_jax.app.plotting import new_figure, save
 from august_jax.scene import procedural_airframe, rotation_from_euler
 
 FREQUENCY = 3e9

@@ -19,7 +19,7 @@ from script import run
 
 from august_jax.physics import PlanarArray, factor_body, fisher_information, position_bound, tilt_bound
 from august_jax.physics.information import Prior
-from august_jax.plotting import new_figure, save
+from august_jax.app.plotting import new_figure, save
 from august_jax.scene import procedural_airframe, rotation_from_euler
 
 DIRECTION = np.array([0.5, 0.7, 0.51]) / np.linalg.norm([0.5, 0.7, 0.51])

@@ -18,7 +18,7 @@ from script import run
 
 from august_jax.config import preset
 from august_jax.data import generate, prepare_targets
-from august_jax.plotting import new_figure, save
+from august_jax.app.plotting import new_figure, save
 
 POWER_DBM = 25.0
 SKINS_M = tuple(preset(name).target.skin_m for name in ("paper", "laptop"))

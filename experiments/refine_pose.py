@@ -24,7 +24,7 @@ from script import run
 
 from august_jax import config as configuration
 from august_jax.physics import PlanarArray, body_channel, contrast, factor_body, fisher_information, position_bound
-from august_jax.plotting import new_figure, save
+from august_jax.app.plotting import new_figure, save
 from august_jax.scene import procedural_airframe, rotation_from_euler
 from august_jax.signal import observe
 

@@ -19,7 +19,7 @@ from script import run
 
 from august_jax.physics import PlanarArray, contrast, dipole_fields, interaction_matrix, sensing_channel, solve_krylov
 from august_jax.physics.mom import weighted_fields
-from august_jax.plotting import new_figure, save
+from august_jax.app.plotting import new_figure, save
 from august_jax.scene import procedural_airframe, rotation_from_euler
 
 PLACE = np.array([3.0, 4.5, 2.5])

@@ -7,7 +7,8 @@ import pytest
 import trimesh
 from scipy.io import loadmat
 
-from august_jax import export, files
+from august_jax import files
+from august_jax.app import export
 
 RNG = np.random.default_rng(0)
 POINTS = RNG.normal(size=(7, 3)).astype(np.float32)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from made_up_track import made_up_track
 
-from august_jax import plotting
+from august_jax.app import plotting
 from august_jax.evaluation import ABOUT
 
 

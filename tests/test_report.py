@@ -7,7 +7,7 @@ import re
 import numpy as np
 from made_up_track import made_up_track
 
-from august_jax import report
+from august_jax.app import report
 
 SCORES = {"slots": [{"slot": 0, "note": "</script><b>"}], "schemes": [{"scheme": "august", "mpe_m": 0.1, "mde": None}]}
 

@@ -1,1 +1,1 @@
-"""What the user meets: the command line and its parts; it stands on top of everything else and nothing imports it."""
+"""What a user meets: the command line, the report, pictures, files for other programs, words for missing devices."""

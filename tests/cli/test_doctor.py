@@ -7,7 +7,8 @@ import sys
 
 import pytest
 
-from august_jax import cli, pipeline
+from august_jax import pipeline
+from august_jax.app import cli
 
 
 def test_a_sound_installation_passes(capsys):

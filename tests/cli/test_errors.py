@@ -2,7 +2,8 @@
 
 import pytest
 
-from august_jax import cli
+from august_jax.app import cli
+from august_jax.app.cli.parser import parse
 
 CASES = {
     "no such command": ("demmo", ["'demmo'", "did you mean 'demo'"]),
@@ -65,7 +66,7 @@ def test_unforeseen_errors_are_short_too(capsys, monkeypatch):
     def fail(args):
         raise TypeError("\n".join(f"line {number} of a long message" for number in range(40)))
 
-    monkeypatch.setitem(cli._COMMANDS, "doctor", cli._COMMANDS["doctor"]._replace(run=fail))
+    monkeypatch.setitem(cli.COMMANDS, "doctor", cli.COMMANDS["doctor"]._replace(run=fail))
     status, _, err = run(capsys, ["doctor"])
     assert status == 2
     assert "TypeError" in err and len(err.strip().splitlines()) <= 6
@@ -77,7 +78,7 @@ def test_interrupt_is_told_in_one_line(capsys, monkeypatch):
     def interrupt(args):
         raise KeyboardInterrupt
 
-    monkeypatch.setitem(cli._COMMANDS, "doctor", cli._COMMANDS["doctor"]._replace(run=interrupt))
+    monkeypatch.setitem(cli.COMMANDS, "doctor", cli.COMMANDS["doctor"]._replace(run=interrupt))
     status, out, err = run(capsys, ["doctor"])
     assert (status, out, len(err.splitlines())) == (130, "", 1)
 
@@ -90,11 +91,11 @@ def test_help_goes_to_stdout(capsys, words):
 
 
 def test_values_that_begin_with_a_minus_sign():
-    args = cli._parse("reconstruct --mesh a.stl --up -z --forward -y --position -1,4,2 --yaw -30".split())
+    args = parse("reconstruct --mesh a.stl --up -z --forward -y --position -1,4,2 --yaw -30".split(), cli.COMMANDS)
     assert (args.up, args.forward, args.position, args.yaw) == ("-z", "-y", (-1.0, 4.0, 2.0), -30.0)
 
 
 def test_overrides_mix_with_options():
-    args = cli._parse("train train.steps=5 --data here model.latent=3 --out there".split())
+    args = parse("train train.steps=5 --data here model.latent=3 --out there".split(), cli.COMMANDS)
     assert args.overrides == ["train.steps=5", "model.latent=3"]
     assert (args.data, args.out) == ("here", "there")

@@ -13,7 +13,8 @@ import pytest
 import scipy.io
 import trimesh
 
-from august_jax import cli, pipeline
+from august_jax import pipeline
+from august_jax.app import cli
 from august_jax.data import Dataset, unpack
 from august_jax.scene import procedural_airframe, resolve_airframe
 

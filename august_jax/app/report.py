@@ -81,7 +81,7 @@ def write_report(
     }
     # "<" is written as an escape, so that no text of the payload can close the script element
     text = json.dumps(payload, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
-    page = files("august_jax").joinpath("viewer.html").read_text(encoding="utf-8")
+    page = files("august_jax.app").joinpath("viewer.html").read_text(encoding="utf-8")
     write_text(path, page.replace("@PAYLOAD@", text))
 
 

@@ -1,0 +1,37 @@
+"""``august demo``: a short flight, sensed with the shipped weights."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from typing import Any
+
+from august_jax.app.cli.common import chosen_weights
+from august_jax.app.cli.messages import note
+from august_jax.app.cli.parser import Command, natural, number
+from august_jax.app.cli.sensing import own_run, sensed
+
+
+def _arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--seed", type=natural, default=0, metavar="N", help="of flight, material, noise (default 0)")
+    parser.add_argument("--snr", type=number, default=20.0, metavar="DB", help="SNR of the echo [dB] (default 20)")
+    parser.add_argument("--slots", type=natural, default=12, metavar="N", help="length of the flight (default 12)")
+    parser.add_argument("--airframe", metavar="NAME", help="a procedural airframe (default: drawn)")
+    parser.add_argument("--run", metavar="RUN", help="weights of your own training run (default: the shipped ones)")
+
+
+def _run(args: argparse.Namespace) -> dict[str, Any]:
+    from august_jax import pipeline
+
+    started = time.monotonic()
+    networks, config = chosen_weights(args, args.run)
+    shot = pipeline.draw_flight(config, args.seed, args.slots, args.airframe)
+    note(f"{shot.airframe.name} flies {args.slots} slots, permittivity {shot.permittivity:.2f}, "
+         f"conductivity {1e3 * shot.conductivity:.1f} mS/m")
+    return sensed(args, networks, config, shot, started, following=[
+        ("august reconstruct --mesh FILE --half-wheelbase 0.25" + own_run(args), "your own drone, in any pose"),
+        ("august demo --seed 1 --snr 30" + own_run(args), "another flight, at a better SNR"),
+    ])
+
+
+COMMAND = Command("fly a short track and reconstruct it with the shipped weights", _arguments, _run)

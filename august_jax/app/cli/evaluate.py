@@ -1,0 +1,37 @@
+"""``august evaluate``: accuracy over SNR beside the baselines."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from typing import Any
+
+from august_jax.app.cli.common import chosen_weights, folder
+from august_jax.app.cli.messages import note, say, scheme_table
+from august_jax.app.cli.parser import Command, natural
+
+
+def _arguments(parser: argparse.ArgumentParser) -> None:
+    parser.set_defaults(places=1)
+    parser.usage = f"{parser.prog} [RUN] [options] [section.field=value ...]"
+    parser.add_argument("--seed", type=natural, default=1, metavar="N", help="of the fresh samples (default 1)")
+
+
+def _run(args: argparse.Namespace) -> dict[str, Any]:
+    from august_jax import evaluation
+    from august_jax.app import plotting
+    from august_jax.files import write_text
+
+    out = folder(args, "august_evaluate")
+    networks, config = chosen_weights(args, args.rest[0] if args.rest else None)
+    rows = evaluation.evaluate(networks, config, seed=args.seed, progress=note)
+    result = {"weights": networks.name, "seed": args.seed, "rows": rows}
+    write_text(out / "evaluation.json", json.dumps(result, indent=1, allow_nan=False))
+    plotting.evaluation_curves(rows, out / "evaluation.png",
+                               title=f"{networks.name}, seed {args.seed}, {config.evaluate.count} samples at each SNR")
+    say(args, scheme_table(rows, snr=True))
+    say(args, f"\n{evaluation.NOTE}\nwritten: {out / 'evaluation.json'}, {out / 'evaluation.png'}")
+    return {"out": str(out), **result}
+
+
+COMMAND = Command("accuracy over SNR beside the baselines", _arguments, _run)

@@ -1,0 +1,68 @@
+"""What the command line says: lines for the reader, lines of progress, tables, and errors in at most six lines."""
+
+from __future__ import annotations
+
+import argparse
+import errno
+import sys
+import textwrap
+from collections.abc import Sequence
+from typing import Any
+
+from august_jax.app.devices import describe_backend_error
+
+_MOST_LINES = 6
+
+
+class UsageError(Exception):
+    """The arguments do not fit the command."""
+
+
+def say(args: argparse.Namespace, text: str) -> None:
+    """A line for the reader: on stdout, or on stderr where stdout is for JSON."""
+    print(text, file=sys.stderr if args.json else sys.stdout, flush=True)
+
+
+def note(text: str) -> None:
+    """A line of progress, on stderr."""
+    print(text, file=sys.stderr, flush=True)
+
+
+def told(error: Exception) -> str:
+    """At most six lines for any error: those meant for the user as they are, others with their kind."""
+    text = str(error).strip()
+    missing_device = describe_backend_error(error)
+    if missing_device is not None:
+        text = missing_device
+    elif isinstance(error, OSError):
+        text = f"{error.filename}: {error.strerror}" if error.filename else text
+        text += "; make room there, or choose another --out" if error.errno == errno.ENOSPC else ""
+    elif isinstance(error, ImportError):
+        text = f"{text}; install again: pip install -c constraints.txt ."
+    elif not isinstance(error, (ValueError, FloatingPointError, UsageError)):
+        text = f"unexpected {type(error).__name__}: {text}\nadd --debug to see where"
+    lines = [part for line in f"august: {text or type(error).__name__}".splitlines() if line.strip()
+             for part in textwrap.wrap(line, 160, break_long_words=False, subsequent_indent="  ")]
+    return "\n".join(lines if len(lines) <= _MOST_LINES else [*lines[:_MOST_LINES - 1], "  ..."])
+
+
+def table(rows: Sequence[Sequence[str]]) -> str:
+    """Rows of cells, aligned: the first column to the left, the others to the right."""
+    widths = [max(map(len, column)) for column in zip(*rows)]
+    return "\n".join("  ".join(cell.ljust(width) if index == 0 else cell.rjust(width)
+                               for index, (cell, width) in enumerate(zip(row, widths))).rstrip() for row in rows)
+
+
+def scheme_table(rows: Sequence[dict[str, Any]], *, snr: bool) -> str:
+    """Rows of metrics as text; with ``snr``, each with its SNR and the bound."""
+    columns = [("MPE [m]", "mpe_m", 3), ("+-", "mpe_se_m", 3), ("MDE", "mde", 4), ("triples", "mde_triples", 4),
+               ("WD [dB]", "wd_db", 1), ("MCD [dB]", "mcd_db", 1)]
+    if snr:
+        columns = [("SNR [dB]", "snr_db", 0), *columns, ("along [m]", "along_m", 3), ("across", "across_m", 3),
+                   ("bound [m]", "bound_m", 3), ("of MDE", "bound_mde", 4)]
+    return table([["scheme", *(title for title, _, _ in columns)],
+                  *([row["scheme"], *(_cell(row[name], digits) for _, name, digits in columns)] for row in rows)])
+
+
+def _cell(value: float | None, digits: int) -> str:
+    return "-" if value is None else f"{value:.{digits}f}"

@@ -1,0 +1,49 @@
+"""``august reconstruct``: a drone of the user's, from a mesh file, at one pose."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from typing import Any
+
+from august_jax.app.cli.common import chosen_weights
+from august_jax.app.cli.messages import note
+from august_jax.app.cli.parser import Command, natural, number, numbers
+from august_jax.app.cli.sensing import own_run, sensed
+
+
+def _arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--mesh", required=True, metavar="FILE", help="OBJ, STL, PLY, GLB, or DAE with the extra [dae]")
+    parser.add_argument("--unit", default="m", help="of the file: m, cm, mm, in, ft, or metres a unit (default m)")
+    parser.add_argument("--up", default="z", metavar="AXIS", help="the file's upward axis (default z)")
+    parser.add_argument("--forward", default="x", metavar="AXIS", help="the file's forward axis (default x)")
+    parser.add_argument("--half-wheelbase", type=number, metavar="M", help="scale to this half-wheelbase [m]")
+    parser.add_argument("--position", type=numbers(3), metavar="X,Y,Z", help="[m] (default: the flight box's centre)")
+    for angle in ("yaw", "pitch", "roll"):
+        parser.add_argument(f"--{angle}", type=number, default=0.0, metavar="DEG", help="[deg] (default 0)")
+    parser.add_argument("--permittivity", type=number, metavar="EPS", help="relative (default: mid-range)")
+    parser.add_argument("--conductivity", type=number, metavar="S", help="[S/m] (default: mid-range)")
+    parser.add_argument("--snr", type=number, default=20.0, metavar="DB", help="SNR of the echo [dB] (default 20)")
+    parser.add_argument("--seed", type=natural, default=0, metavar="N", help="of prediction and noise (default 0)")
+    parser.add_argument("--run", metavar="RUN", help="weights of your own training run (default: the shipped ones)")
+
+
+def _run(args: argparse.Namespace) -> dict[str, Any]:
+    from august_jax import pipeline
+    from august_jax.scene import load_airframe
+
+    started = time.monotonic()
+    airframe = load_airframe(args.mesh, unit=args.unit, up=args.up, forward=args.forward,
+                             half_wheelbase_m=args.half_wheelbase)
+    networks, config = chosen_weights(args, args.run)
+    shot = pipeline.pose(networks.config, airframe, position=args.position, yaw_deg=args.yaw, pitch_deg=args.pitch,
+                         roll_deg=args.roll, permittivity=args.permittivity, conductivity=args.conductivity)
+    note(f"{airframe.name}: half-wheelbase {airframe.half_wheelbase_m:.3f} m, at "
+         f"({', '.join(f'{value:.2f}' for value in shot.positions[0])}) m")
+    return sensed(args, networks, config, shot, started, following=[
+        (f"august reconstruct --mesh {args.mesh} --snr 30 --yaw 45 --pitch 15" + own_run(args),
+         "another pose, at a better SNR; with your --unit, --up, --forward and --half-wheelbase"),
+    ])
+
+
+COMMAND = Command("your own drone from a mesh file, at one pose", _arguments, _run)

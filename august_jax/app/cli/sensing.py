@@ -1,0 +1,90 @@
+"""What ``august demo`` and ``august reconstruct`` share: sense a scenario, write the results, say what was found."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from august_jax import config as configuration
+from august_jax.app.cli.common import folder
+from august_jax.app.cli.messages import note, say, scheme_table
+from august_jax.config import Config
+
+if TYPE_CHECKING:
+    from august_jax.pipeline import Networks, Scenario
+
+
+def own_run(args: argparse.Namespace) -> str:
+    """The option that names the weights again, for a command line to try next."""
+    return f" --run {args.run}" if args.run else ""
+
+
+def sensed(args: argparse.Namespace, networks: Networks, config: Config, shot: Scenario, started: float,
+           following: Sequence[tuple[str, str]]) -> dict[str, Any]:
+    """Sense ``shot``, write report, picture, clouds and numbers, and return the numbers.
+
+    Args:
+        args: of the command.
+        networks, config: what senses, and under which settings.
+        shot: what flies.
+        started: :func:`time.monotonic` when the command began [s].
+        following: pairs of a command line to try next and what it does.
+    """
+    from august_jax import evaluation, pipeline
+    from august_jax.app import plotting, report
+    from august_jax.app.export import write_ply, write_record
+    from august_jax.files import write_text
+
+    command = args.command
+    out = folder(args, f"august_{command}", configured=True)
+    following = [*following, (f"august evaluate {args.run + ' ' if args.run else ''}--seed 1",
+                              "the accuracy over SNR, beside its baselines"),
+                 (f"august export {out} --format mat", "the clouds for MATLAB")]
+    track = pipeline.sense(networks, config, shot, seed=args.seed, snr_db=args.snr, progress=note)
+    scores = evaluation.score_track(track, config, shot.airframe.half_wheelbase_m)
+    seconds = time.monotonic() - started
+    mean = {row["scheme"]: row for row in scores["schemes"]}
+    slots = len(track.time_s)
+    lead = (
+        f"{'Over ' + str(slots) + ' slots the' if slots > 1 else 'The'} reconstructed cloud puts the drone "
+        f"{100 * mean['august']['mpe_m']:.1f} cm from where it is{' on average' if slots > 1 else ''}; "
+        f"the prediction it starts from is {100 * mean['prior']['mpe_m']:.1f} cm off."
+    )
+    title = f"{shot.airframe.name} at {args.snr:g} dB, seen by {config.array.count} antennas"
+    setup = [
+        ("weights", networks.name),
+        ("array", f"{config.array.nx} x {config.array.nz} at "
+                  f"{', '.join(f'{tone / 1e9:g}' for tone in config.array.frequencies_hz)} GHz"),
+        ("drone", f"{shot.airframe.name}, half-wheelbase {shot.airframe.half_wheelbase_m:.3f} m"),
+        ("material", f"permittivity {track.permittivity:.2f}, conductivity {1e3 * track.conductivity:.2f} mS/m"),
+        ("channel", f"full-wave ({config.data.solver}), {config.signal.estimator} estimate"),
+        ("sampler", f"{config.evaluate.sampler}, {_sampler_steps(config)} steps, {config.target.points} points"),
+        ("first predictions", f"uniform within {config.region.threshold_m:g} m along each axis, as of a detection"),
+        ("seed", str(args.seed)),
+        ("computed in", f"{seconds:.0f} s"),
+    ]
+    metrics = {"command": command, "snr_db": args.snr, "seed": args.seed, "seconds": round(seconds, 1),
+               "weights": networks.name, "airframe": shot.airframe.name, **scores}
+    span = {"permittivity": config.target.permittivity, "conductivity": config.target.conductivity_s_m}
+    write_record(out / "clouds.npz", track.record())
+    write_ply(out / "cloud.ply", track.points[-1], track.point_permittivity[-1], track.point_conductivity[-1])
+    write_text(out / "metrics.json", json.dumps(metrics, indent=1, allow_nan=False))
+    write_text(out / "config.yaml", configuration.to_yaml(config))
+    plotting.clouds(track, out / f"{command}.png", permittivity=span["permittivity"], title=title)
+    report.write_report(out / "report.html", track, scores, title=title, lead=lead, note=evaluation.NOTE, setup=setup,
+                        following=following, **span)
+    files = ["report.html", f"{command}.png", "cloud.ply", "metrics.json", "config.yaml", "clouds.npz"]
+    say(args, f"\n{title}\n{lead}\n")
+    say(args, scheme_table(scores["schemes"], snr=False))
+    say(args, f"\nwritten in {seconds:.0f} s to {out}/: {', '.join(files)}")
+    say(args, f"look:  {(out / 'report.html').resolve().as_uri()}")
+    for command_line, why in following[:2]:
+        say(args, f"next:  {command_line}   # {why}")
+    return {"out": str(out), "files": files, **metrics}
+
+
+def _sampler_steps(config: Config) -> int:
+    return config.evaluate.sampler_steps if config.evaluate.sampler == "dpm" else config.model.steps

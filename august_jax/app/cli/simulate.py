@@ -1,0 +1,35 @@
+"""``august simulate``: a data set in shards, continued where it was left."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+from august_jax.app.cli.common import chosen_config, folder
+from august_jax.app.cli.messages import note, say
+from august_jax.app.cli.parser import Command, part
+
+
+def _arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--shard", type=part, default=(1, 1), metavar="I/N", help="make the i-th of n parts alone")
+    parser.add_argument("--verify", action="store_true",
+                        help="read what is there, compare its check sums, and make damaged pieces again")
+
+
+def _run(args: argparse.Namespace) -> dict[str, Any]:
+    config = chosen_config(args)
+    out = folder(args, f"august_data/{config.preset}", configured=True)
+    from august_jax.data import simulate
+
+    manifest = simulate(config, out, part=args.shard, verify=args.verify, report=note)
+    done = manifest["rows"] >= manifest["wanted"]
+    say(args, f"{manifest['written']} samples written in {manifest['seconds']:.0f} s "
+              f"({manifest['samples_per_s']:.1f} samples/s); {out}/ now holds {manifest['rows']} of "
+              f"{manifest['wanted']}")
+    say(args, f"next:  august train --preset {config.preset} --data {out}" if done else
+        "next:  the other parts, with --shard, or the same command without it")
+    return {"out": str(out), "digest": manifest["digest"],
+            **{name: manifest[name] for name in ("rows", "wanted", "written", "seconds", "samples_per_s")}}
+
+
+COMMAND = Command("make a data set: flights, channels, clouds", _arguments, _run)
