@@ -202,7 +202,7 @@ def rigid(args) -> list[dict]:
 
 def chosen(body) -> np.ndarray:
     """The antennas whose fields are computed."""
-    from august_jax.physics.response import aperture_skeleton
+    from august_jax.physics.body import aperture_skeleton
 
     return aperture_skeleton(ARRAY, FREQUENCY, body.radius_m, body.nearest_m)[0]
 

@@ -1,6 +1,7 @@
 """The differentiable full-wave simulator: pure functions of arrays, e^{-jwt}, SI units."""
 
 from august_jax.physics.array import AntennaArray, PlanarArray, wavenumber
+from august_jax.physics.body import Body, alike, body_channel, cache_folder, factor_bodies, factor_body
 from august_jax.physics.cells import Cells
 from august_jax.physics.channel import SOLVERS, sensing_channel, sensing_channels
 from august_jax.physics.green import coupling_matrix, dipole_fields, dyadic_green
@@ -10,7 +11,6 @@ from august_jax.physics.information import (
 from august_jax.physics.krylov import KrylovSolution, solve_krylov
 from august_jax.physics.materials import contrast
 from august_jax.physics.mom import Solution, interaction_matrix, self_term, solve_dense
-from august_jax.physics.response import Body, alike, body_channel, cache_folder, factor_bodies, factor_body
 
 __all__ = [
     "SOLVERS", "AntennaArray", "Body", "Cells", "KrylovSolution", "PlanarArray", "Solution", "alike", "body_channel",

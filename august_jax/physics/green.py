@@ -33,7 +33,7 @@ def inner(first: jax.Array, second: jax.Array) -> jax.Array:
     return (first[..., 0] * second[..., 0] + first[..., 1] * second[..., 1]) + first[..., 2] * second[..., 2]
 
 
-def path_difference(offset: Float[Array, "*n 3"], base: Float[Array, "*m 3"]) -> Float[jax.Array, "*k"]:
+def path_difference(offset: Float[Array, "... 3"], base: Float[Array, "... 3"]) -> Float[Array, "..."]:
     """|b - o| - |b|: how much nearer or farther a place b is from a point o than from the origin, to all digits.
 
     The difference of two long distances is written as (o.o - 2 o.b)/(|b - o| + |b|), a quotient without cancellation:
@@ -62,7 +62,7 @@ def dyadic_green(displacement: jax.Array, wavenumber: float | jax.Array) -> jax.
     """
     r = jnp.sqrt(inner(displacement, displacement))
     unit = displacement / r[..., None]
-    g, h = _radial_factors(wavenumber * r)
+    g, h = radial_factors(wavenumber * r)
     wave = jnp.exp(1j * wavenumber * r) / (_FOUR_PI * r)
     outer = unit[..., :, None] * unit[..., None, :]
     identity = jnp.eye(3, dtype=displacement.dtype)
@@ -102,7 +102,7 @@ def _coupling_tangent(wavenumber, primals, tangents):
     r = jnp.sqrt(inner(separation, separation))
     unit = [separation[..., axis] / r for axis in range(3)]
     k = wavenumber
-    g, h = _radial_factors(k * r)
+    g, h = radial_factors(k * r)
     wave = jnp.where(same, 0.0, jnp.exp(1j * k * r) / (_FOUR_PI * r))
     slope = wave * (1j * k - 1.0 / r)
     square, cube = 1.0 / (k * r**2), 1.0 / (k**2 * r**3)
@@ -186,14 +186,15 @@ def dipole_fields_about(
     turns = whole * short_turn
     fraction = (turns - jnp.round(turns)) + whole * (per_turn - short_turn)
     phase = 2.0 * np.pi * fraction + wavenumber * (rest + shift)
-    g, h = _radial_factors(wavenumber * r)
+    g, h = radial_factors(wavenumber * r)
     wave = jnp.exp(1j * phase) / (_FOUR_PI * r)
     moments = jnp.broadcast_to(jnp.asarray(moments, local.dtype), elements.shape)
     along = inner(displacement, moments) / r**2
     return (wave * g * along)[..., None] * displacement - (wave * h)[..., None] * moments
 
 
-def _radial_factors(kr):
+def radial_factors(kr: Array) -> tuple[Array, Array]:
+    """g and h of G at kr > 0, arrays of any shape."""
     inverse = 1.0 / kr
     square = inverse**2
     return 3.0 * square - 3j * inverse - 1.0, square - 1j * inverse - 1.0

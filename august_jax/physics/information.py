@@ -25,7 +25,7 @@ import numpy as np
 
 from august_jax.physics.array import AntennaArray, PlanarArray, wavenumber
 from august_jax.physics.materials import contrast
-from august_jax.physics.response import Body, body_channel
+from august_jax.physics.body import Body, body_channel
 
 PARAMETERS = ("x", "y", "z", "turn_x", "turn_y", "turn_z", "permittivity", "conductivity", "log_gain", "phase")
 """What the rows and columns of the information matrix stand for."""

@@ -1,11 +1,8 @@
-"""A rigid body's response: its coupled system is reduced once, then serves every pose and every scalar contrast.
-
-A rotation turns G into R G R^T, so that K' of :mod:`august_jax.physics.mom` is fixed in the body frame, and a
-material enters only through chi in (I/chi - K') P = E', H = k^2 E'^T P. Three facts make a channel cheap:
+"""The offline reduction of a body's coupled system (I/chi - K') P = E', H = k^2 E'^T P, in its own frame.
 
 1. The fields of dipoles beyond a few metres span far fewer than 3N dimensions on the body. Their span U is found
-   from random sources, and m rows of it (pivoted QR, as in the discrete empirical interpolation method) determine
-   all others: E' = U U_S^{-1} E'_S.
+   from random sources, and m rows of it (:mod:`august_jax.physics.body.spans`) determine all others:
+   E' = U U_S^{-1} E'_S.
 2. The polarisations that such fields excite span a space Q little larger than U. Galerkin projection with the
    symmetric form keeps H = H^T and makes its error second order in what Q misses. Q is built from solutions at
    the contrasts ``NODES``, as finely as the error measured at another, :attr:`Body.error`, asks for.
@@ -19,36 +16,26 @@ of such waves too (Im G is regular), so that real solutions span what the comple
 couple at their positions and hear at their centroids. The part of Im K' P that U lacks is small and drives solutions
 of its own.
 
-The antennas are thinned likewise: once the spherical-wave phases of the body's centre are removed, the field
-varies so slowly over the aperture that a few elements determine the others.
-
-The offline part runs on the CPU with NumPy and SciPy and is cached on disk by content. W is applied in single
-precision as three real matrix products (Gauss's scheme for complex numbers): XLA multiplies real matrices three times
-faster than complex ones.
+It runs on the CPU with NumPy and SciPy.
 """
 
 from __future__ import annotations
 
-import hashlib
 import os
-import warnings
-import zipfile
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
-from functools import lru_cache
-from pathlib import Path
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from august_jax.files import replacing
-from august_jax.physics.array import AntennaArray, PlanarArray, wavenumber
+from august_jax.physics.array import wavenumber
+from august_jax.physics.body.body import Body
+from august_jax.physics.body.cache import Factors, cached
+from august_jax.physics.body.spans import pivots, spanned
 from august_jax.physics.cells import Cells
-from august_jax.physics.checks import check_cells, is_concrete
-from august_jax.physics.green import dipole_fields_about, dyadic_green, path_difference
+from august_jax.physics.checks import check_cells
+from august_jax.physics.green import dyadic_green, radial_factors
 from august_jax.physics.mom import own_blocks
 
 NODES = (0.5, 2.0, 5.0)
@@ -59,49 +46,7 @@ _CHECK = 3.5 + 0.05j
 _ERROR = 3e-5  # relative error of H at _CHECK that is good enough; a weak echo has several times as much
 _SPAN_TOLERANCE = 5e-7  # smallest singular value kept of the incident fields, relative to the largest
 _BASIS_TOLERANCES = (7e-3, 3e-3, 1e-3)  # the same of the polarisations, tried in turn: H errs by about their square
-_APERTURE_TOLERANCE = 3e-6  # the same of the fields over the aperture
-_FORMAT = "body-6"
 _FACTORS = ("weights", "eigenvalues", "points", "rows", "error")
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class Body:
-    """A factored body; a pytree, with F tones padded to a common size.
-
-    Attributes:
-        weights: Re W, Im W - Re W and Re W + Im W, the square roots of the cells' material volumes in them
-            (F, 3, n, m), float32.
-        eigenvalues: lambda (F, n), complex64.
-        points: where the incident field is needed, in the body frame (F, p, 3) [m].
-        rows: which (point, component) of the field each column of W takes, 3 point + component (F, m), int32.
-        frequencies_hz: the tones [Hz].
-        single: True where the body was made for one plain frequency, so that channels carry no tone axis.
-        radius_m: largest distance of the material's places in the cells from the body's origin [m].
-        nearest_m: sources must be at least this far from the body's origin [m].
-        error: relative error of the reduced response at a contrast between the nodes, 3.5 + 0.05j, as measured when it
-            was made.
-        cells: number of cells N.
-    """
-
-    weights: jax.Array
-    eigenvalues: jax.Array
-    points: jax.Array
-    rows: jax.Array
-    frequencies_hz: tuple[float, ...] = field(metadata={"static": True})
-    single: bool = field(metadata={"static": True})
-    radius_m: float = field(metadata={"static": True})
-    nearest_m: float = field(metadata={"static": True})
-    error: float = field(metadata={"static": True})
-    cells: int = field(metadata={"static": True})
-
-
-def cache_folder() -> Path:
-    """Where factored bodies are kept: ``$AUGUST_CACHE``, else ``august_jax`` in the user's cache folder."""
-    named = os.environ.get("AUGUST_CACHE")
-    if named:
-        return Path(named)
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "august_jax"
 
 
 def factor_body(
@@ -188,202 +133,17 @@ def _joined(factors, tones, single, radius, nearest_m, count) -> Body:
     )
 
 
-def alike(bodies: Sequence[Body]) -> list[Body]:
-    """The same bodies padded to one shape, so that what is compiled for one serves all.
-
-    Modes that are added have no weight. ``radius_m``, ``nearest_m`` and ``error`` become the worst of all, ``cells``
-    the largest; ``nearest_m`` bounds every body's use from then on.
-
-    Raises:
-        ValueError: the bodies were made for different tones.
-    """
-    if len({(body.frequencies_hz, body.single) for body in bodies}) > 1:
-        raise ValueError("bodies: they were factored for different frequencies; factor all for the same tones")
-    leaves = [[np.asarray(leaf) for leaf in jax.tree.leaves(body)] for body in bodies]
-    shapes = [np.max([leaf.shape for leaf in each], axis=0) for each in zip(*leaves)]
-    worst = {name: max(getattr(body, name) for body in bodies) if bodies else 0
-             for name in ("radius_m", "nearest_m", "error", "cells")}
-    return [
-        replace(body, **worst, **{
-            name: jnp.asarray(np.pad(leaf, [(0, n - m) for m, n in zip(leaf.shape, shape)]))
-            for name, leaf, shape in zip(("weights", "eigenvalues", "points", "rows"), own, shapes, strict=True)})
-        for body, own in zip(bodies, leaves)
-    ]
-
-
-def body_channel(
-    body: Body,
-    array: PlanarArray | AntennaArray,
-    rotation: jax.Array,
-    translation: jax.Array,
-    contrast: jax.Array,
-    *,
-    receiver: PlanarArray | AntennaArray | None = None,
-) -> jax.Array:
-    """Sensing channel of a factored body in a pose: equal to the coupled solve of the moved cells.
-
-    Args:
-        body: from :func:`factor_body`.
-        array: the antennas, transmitting and, without ``receiver``, receiving.
-        rotation: body axes to world axes (3, 3).
-        translation: origin of the body's frame in the world (3,) [m].
-        contrast: chi, scalar; with several tones also (F,).
-        receiver: the antennas that receive, where they are not those that transmit.
-
-    Returns:
-        H [1/m] (N_b, N_b), or (F, N_b, N_b) for a body of several tones; complex64, symmetric without ``receiver``;
-        rows receive, columns transmit. Differentiable in rotation, translation, contrast and an
-        :class:`AntennaArray`; ``jax.vmap`` over them makes batches. Planar arrays are the fastest: few of their
-        elements are computed, and determine the others.
-
-    Raises:
-        ValueError: mismatched shapes, or a body nearer than ``body.nearest_m`` to an antenna.
-    """
-    for name, value, shape in (("rotation", rotation, (3, 3)), ("translation", translation, (3,))):
-        if np.shape(value) != shape:
-            raise ValueError(f"{name}: got shape {np.shape(value)}; give {shape}, and vmap for batches")
-    tones = len(body.frequencies_hz)
-    if np.shape(contrast) not in ((), (tones,)):
-        raise ValueError(f"contrast: got shape {np.shape(contrast)}; give a scalar or ({tones},), one value a tone")
-    for end in (array, receiver):
-        if end is not None and is_concrete((translation, end)):
-            gap = float(np.linalg.norm(np.asarray(translation) - np.asarray(end.positions), axis=1).min())
-            if not gap >= body.nearest_m * (1.0 - 1e-6):
-                raise ValueError(
-                    f"translation: the body is {gap:.3g} m from an antenna, but was factored for {body.nearest_m:g} m "
-                    "and beyond; pass a smaller nearest_m to factor_body"
-                )
-    return _body_channel(body, array, receiver, *(jnp.asarray(part) for part in (rotation, translation, contrast)))
-
-
-@jax.jit
-def _body_channel(body, array, receiver, rotation, translation, contrast):
-    rotation = rotation.astype(jnp.float32)
-    contrasts = jnp.broadcast_to(contrast, (len(body.frequencies_hz),)).astype(jnp.complex64)
-    channels = []
-    for tone, frequency in enumerate(body.frequencies_hz):
-        chi = contrasts[tone]
-        gain = (wavenumber(frequency) ** 2) * chi / (1.0 - chi * body.eigenvalues[tone])
-        sent, sender = _modal_fields(body, tone, array, rotation, translation)
-        heard, hearer = (sent, sender) if receiver is None else _modal_fields(
-            body, tone, receiver, rotation, translation)
-        # Fields are O(0.1/r) and the cells' volumes O(1e-6): the product stays far above the smallest float32.
-        channel = _product(heard, gain[:, None] * sent)
-        if hearer is not None:
-            channel = hearer.over_rows(channel)
-        if sender is not None:
-            channel = sender.over_rows(channel.T).T
-        channels.append(channel if receiver is not None else 0.5 * (channel + channel.T))
-    return channels[0] if body.single else jnp.stack(channels)
-
-
-class _Aperture(NamedTuple):
-    """How n antennas determine all N_b: by ``spread`` (N_b, n) real, once ``phases`` (N_b,) are taken out."""
-
-    chosen: np.ndarray
-    spread: np.ndarray
-    phases: jax.Array
-
-    def over_rows(self, values):
-        """(n, m) to (N_b, m); real products, because the compiler's small complex ones are slow."""
-        flat = self.phases[self.chosen].conj()[:, None] * values
-        parts = jnp.asarray(self.spread, jnp.float32) @ jnp.concatenate([flat.real, flat.imag], axis=1)
-        return self.phases[:, None] * jax.lax.complex(*jnp.split(parts, 2, axis=1))
-
-
-def _product(left, right):
-    """left^T right of (K, n) and (K, m) complex, by one real product of all parts."""
-    n, m = left.shape[1], right.shape[1]
-    left, right = (jnp.concatenate([each.real, each.imag], axis=1) for each in (left, right))
-    parts = left.T @ right
-    return jax.lax.complex(parts[:n, :m] - parts[n:, m:], parts[:n, m:] + parts[n:, :m])
-
-
-def _modal_fields(body, tone, array, rotation, translation):
-    """F of some antennas in the body's modes (K, n), and how they determine all: None where they are all."""
-    frequency = body.frequencies_hz[tone]
-    k = wavenumber(frequency)
-    planar = isinstance(array, PlanarArray)
-    if planar:
-        chosen, spread = aperture_skeleton(array, frequency, body.radius_m, body.nearest_m)
-        centre = array.positions.mean(axis=0)
-    else:
-        chosen, centre = slice(None), jnp.mean(jnp.asarray(array.positions, jnp.float32), axis=0)
-    elements = jnp.asarray(array.positions - centre, jnp.float32)
-    moments = jnp.asarray(array.moments, jnp.float32)[chosen]
-    base = (translation - jnp.asarray(centre, jnp.float32)).astype(jnp.float32)
-    local = body.points[tone] @ rotation.T
-    world = dipole_fields_about(local, base, elements[chosen], moments, k)
-    fields = jnp.einsum("pna,ab->pbn", world, rotation).reshape(-1, world.shape[1])[body.rows[tone]]
-    real, difference, total = body.weights[tone]
-    both = real @ (fields.real + fields.imag)
-    modal = jax.lax.complex(both - total @ fields.imag, both + difference @ fields.real)
-    if not planar:
-        return modal, None
-    # Interpolation over the aperture, on fields whose phases to the body's centre are removed.
-    return modal, _Aperture(chosen, spread, jnp.exp(1j * k * path_difference(elements, base)))
-
-
-@lru_cache(maxsize=64)
-def aperture_skeleton(
-    array: PlanarArray, frequency_hz: float, radius_m: float, nearest_m: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """The few antennas that determine the fields of all on a body, and how.
-
-    With phases e^{-jk(|t - p_n| - |t|)} to the body's centre t removed, the field of antenna n at any point within
-    ``radius_m`` of t, for any t beyond ``nearest_m``, is the sum over the chosen antennas j of spread[n, j] times
-    theirs.
-
-    Returns:
-        Indices (K,) and the interpolation matrix (N_b, K), float64.
-    """
-    k = wavenumber(frequency_hz)
-    elements = array.positions - array.positions.mean(axis=0)
-    random = np.random.default_rng(0)
-    count = 60 * len(elements)
-
-    def on_sphere(radius):
-        vectors = random.normal(size=(count, 3))
-        return radius * vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
-
-    # The nearest distance and the surface of the ball are the worst case; nothing beyond varies faster.
-    centre, inside = on_sphere(nearest_m), on_sphere(radius_m)
-    offset = (centre + inside)[:, None] - elements
-    r, to_centre = np.linalg.norm(offset, axis=-1), np.linalg.norm(centre[:, None] - elements, axis=-1)
-    samples = np.exp(1j * k * (r - to_centre)) * nearest_m / r
-    vectors, values = _span(samples.T, _APERTURE_TOLERANCE)
-    # The problem is symmetric under complex conjugation (a mirrored body), hence a real basis exists.
-    both = np.concatenate([(vectors * values).real, (vectors * values).imag], axis=1)
-    basis, _ = _span(both, _APERTURE_TOLERANCE)
-    chosen = _pivots(basis.real)
-    return chosen, basis.real @ np.linalg.inv(basis.real[chosen])
-
-
-def _cached(cells: Cells, frequency_hz: float, nearest_m: float, cache: bool) -> dict[str, np.ndarray]:
-    """One tone's factors, from the disk where they are there and whole."""
-    digest = hashlib.sha256(_FORMAT.encode())
+def _cached(cells: Cells, frequency_hz: float, nearest_m: float, cache: bool) -> Factors:
+    """One tone's factors, from the disk where they are there."""
     settings = (frequency_hz, nearest_m, _SPAN_TOLERANCE, *_BASIS_TOLERANCES, _ERROR, *NODES)
-    for part in (*cells, np.asarray(settings)):
-        digest.update(b"none" if part is None else np.ascontiguousarray(part).tobytes())
-    path = cache_folder() / f"{_FORMAT}-{digest.hexdigest()[:24]}.npz"
-    if cache and path.exists():
-        try:
-            with path.open("rb") as file, np.load(file) as stored:
-                return {name: stored[name] for name in _FACTORS}
-        except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile):
-            pass  # a damaged file is made again below
-    factors = _factor(cells, frequency_hz, nearest_m)
-    if cache:
-        try:
-            with replacing(path) as aside:
-                np.savez(aside, **factors)
-        except OSError as error:  # half a minute's work is not to be thrown away for it
-            warnings.warn(f"a factored body could not be kept in {path.parent} ({error.strerror}); set AUGUST_CACHE to "
-                          "a folder that can be written", stacklevel=2)
-    return factors
+
+    def make():
+        return _factor(cells, frequency_hz, nearest_m)
+
+    return cached((*cells, np.asarray(settings)), _FACTORS, make) if cache else make()
 
 
-def _factor(cells: Cells, frequency_hz: float, nearest_m: float) -> dict[str, np.ndarray]:
+def _factor(cells: Cells, frequency_hz: float, nearest_m: float) -> Factors:
     """The offline computation at one tone."""
     import scipy.linalg
     from threadpoolctl import threadpool_limits
@@ -397,9 +157,9 @@ def _factor(cells: Cells, frequency_hz: float, nearest_m: float) -> dict[str, np
     while span is None or (span.shape[1] > 1.25 * samples and samples < 3 * len(weight)):
         samples = 3 * samples // 2
         fields = weight[:, None] * _random_fields(cells.sites(), k, nearest_m, samples, random)
-        span, values = _span(np.concatenate([fields.real, fields.imag], axis=1), _SPAN_TOLERANCE)
+        span, values = spanned(np.concatenate([fields.real, fields.imag], axis=1), _SPAN_TOLERANCE)
     probe = weight[:, None] * _random_fields(cells.sites(), k, nearest_m, 24, random)
-    rows = _pivots(span)
+    rows = pivots(span)
     inverse = np.linalg.inv(span[rows])
     interpolated = span @ (inverse @ probe[rows])
     solutions, solve = _solutions(parts, span, values)
@@ -517,29 +277,11 @@ def _random_fields(points, k, nearest_m, count, random):
     distance[: count // 2] = nearest_m
     offset = points[:, None] - distance * direction
     r = np.linalg.norm(offset, axis=-1)
-    kr = k * r
-    g, h = 3.0 / kr**2 - 3j / kr - 1.0, 1.0 / kr**2 - 1j / kr - 1.0
-    wave = np.exp(1j * (kr - k * distance[:, 0])) * distance[:, 0] / (4.0 * np.pi * r)
+    g, h = radial_factors(k * r)
+    wave = np.exp(1j * k * (r - distance[:, 0])) * distance[:, 0] / (4.0 * np.pi * r)
     along = np.einsum("nsa,sa->ns", offset, moment) / r**2
     field_ = (wave * g * along)[..., None] * offset - (wave * h)[..., None] * moment
     return field_.transpose(0, 2, 1).reshape(-1, count)
-
-
-def _span(matrix, tolerance):
-    """Orthonormal basis of the columns and its singular values, down to ``tolerance`` of the largest."""
-    tall = matrix.shape[0] >= matrix.shape[1]
-    values, vectors = np.linalg.eigh(matrix.conj().T @ matrix if tall else matrix @ matrix.conj().T)
-    keep = values > max(tolerance**2, 1e-15) * values[-1]
-    values, vectors = np.sqrt(values[keep][::-1]), vectors[:, keep][:, ::-1]
-    return (matrix @ vectors / values if tall else vectors), values
-
-
-def _pivots(basis):
-    """As many rows of an orthonormal basis as it has columns, chosen to be well conditioned; sorted."""
-    import scipy.linalg
-
-    _, pivots = scipy.linalg.qr(basis.T.astype(np.float32), mode="r", pivoting=True)
-    return np.sort(pivots[: basis.shape[1]])
 
 
 def _polarization_basis(solutions, tolerance):

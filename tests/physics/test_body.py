@@ -9,7 +9,7 @@ from lattices import cross, turned
 from august_jax.physics import (
     AntennaArray, PlanarArray, alike, body_channel, contrast, factor_body, sensing_channel,
 )
-from august_jax.physics.response import cache_folder
+from august_jax.physics.body import cache_folder
 
 ARRAY = PlanarArray(8, 4, 3e9)
 CELLS = cross(arm=9)
@@ -61,17 +61,17 @@ def test_fields_at_centroids_equal_the_coupled_solve_too():
 
 def test_the_error_that_a_body_states_is_the_one_it_has(monkeypatch):
     """Of a basis that is made much too small, so that nothing else errs as much."""
-    from august_jax.physics import response
+    from august_jax.physics.body import factor
 
-    monkeypatch.setattr(response, "_BASIS_TOLERANCES", (0.2,))
+    monkeypatch.setattr(factor, "_BASIS_TOLERANCES", (0.2,))
     body = factor_body(CELLS, 3e9, cache=False)
     direction, moment = np.random.default_rng(1).normal(size=(2, 48, 3))
     moment /= np.linalg.norm(moment, axis=1, keepdims=True)
     places = 2.1 * direction / np.linalg.norm(direction, axis=1, keepdims=True)
     antennas = AntennaArray(places, moment, 3e9)
-    fast = np.asarray(body_channel(body, antennas, np.eye(3), np.zeros(3), response._CHECK))
+    fast = np.asarray(body_channel(body, antennas, np.eye(3), np.zeros(3), factor._CHECK))
     with jax.enable_x64(True):
-        slow = np.asarray(sensing_channel(antennas, CELLS, response._CHECK, frequencies_hz=(3e9,)))[0]
+        slow = np.asarray(sensing_channel(antennas, CELLS, factor._CHECK, frequencies_hz=(3e9,)))[0]
     error = np.linalg.norm(fast - slow) / np.linalg.norm(slow)
     assert error > 1e-4
     assert 0.5 < error / body.error < 2.0, (error, body.error)
@@ -88,9 +88,9 @@ def test_what_cells_radiate_from_where_they_do_not_hear_is_in_the_basis():
 
 
 def test_a_basis_of_all_there_is_serves_too(monkeypatch):
-    from august_jax.physics import response
+    from august_jax.physics.body import factor
 
-    monkeypatch.setattr(response, "_BASIS_TOLERANCES", (1e-4,))
+    monkeypatch.setattr(factor, "_BASIS_TOLERANCES", (1e-4,))
     shifts = 0.006 * np.random.default_rng(0).uniform(-1, 1, CELLS.positions.shape)
     body = factor_body(CELLS._replace(centroids=CELLS.positions + shifts), 3e9, cache=False)
     assert body.eigenvalues.shape[-1] == 3 * CELLS.count
@@ -161,15 +161,15 @@ def test_tones_are_factored_apart():
 
 
 def test_the_cache_is_used_and_a_damaged_file_is_made_again(monkeypatch, tmp_path):
-    from august_jax.physics import response
+    from august_jax.physics.body import factor
 
     monkeypatch.setenv("AUGUST_CACHE", str(tmp_path))
     cells = CELLS._replace(positions=CELLS.positions * 1.01)
     first = factor_body(cells, 3e9)
     (path,) = cache_folder().glob("*.npz")
     made = []
-    original = response._factor
-    monkeypatch.setattr(response, "_factor", lambda *args: made.append(1) or original(*args))
+    original = factor._factor
+    monkeypatch.setattr(factor, "_factor", lambda *args: made.append(1) or original(*args))
     second = factor_body(cells, 3e9)
     assert not made
     np.testing.assert_array_equal(first.weights, second.weights)

@@ -1,0 +1,54 @@
+"""Factored bodies on the disk, under a hash of all that they depend on; what is damaged is made again."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import warnings
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+import numpy as np
+
+from august_jax.files import DamagedFile, read_npz, replacing
+
+Factors = dict[str, np.ndarray]
+_FORMAT = "body-6"
+
+
+def cache_folder() -> Path:
+    """Where factored bodies are kept: ``$AUGUST_CACHE``, else ``august_jax`` in the user's cache folder."""
+    named = os.environ.get("AUGUST_CACHE")
+    if named:
+        return Path(named)
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "august_jax"
+
+
+def cached(key: Iterable[np.ndarray | float | None], names: tuple[str, ...], make: Callable[[], Factors]) -> Factors:
+    """What ``make`` gives, from the disk where it is there and whole.
+
+    Args:
+        key: all that the result depends on.
+        names: what it holds.
+        make: the computation.
+
+    Warns where the result cannot be kept: half a minute's work is not to be thrown away for it.
+    """
+    digest = hashlib.sha256(_FORMAT.encode())
+    for part in key:
+        digest.update(b"none" if part is None else np.ascontiguousarray(part).tobytes())
+    path = cache_folder() / f"{_FORMAT}-{digest.hexdigest()[:24]}.npz"
+    if path.exists():
+        try:
+            stored = read_npz(path)
+            return {name: stored[name] for name in names}
+        except (OSError, DamagedFile, KeyError):
+            pass  # it is made again
+    factors = make()
+    try:
+        with replacing(path) as aside:
+            np.savez(aside, **factors)
+    except OSError as error:
+        warnings.warn(f"a factored body could not be kept in {path.parent} ({error.strerror}); set AUGUST_CACHE to "
+                      "a folder that can be written", stacklevel=2)
+    return factors
