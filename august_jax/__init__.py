@@ -4,18 +4,82 @@ A differentiable full-wave simulator (:mod:`august_jax.physics`), flights of air
 what the base station receives (:mod:`august_jax.signal`) and the AUGUST generative model
 (:mod:`august_jax.models`). Subpackages are imported where they are used, so that this import stays light.
 
-On import, ``XLA_FLAGS`` is told not to fuse sums on CPUs, where jaxlib 0.10 fuses some of them wrongly (a sum that is
-broadcast again comes out as another row's). JAX reads the variable when it first computes: import august_jax before
-that. ``august doctor`` says whether sums come out right.
+On import, ``XLA_FLAGS`` is told not to fuse sums on CPUs where the installed jaxlib is a release that fuses some of
+them wrongly (:func:`xla_flags`). JAX reads the variable when it first computes: import august_jax before that.
+``august doctor`` says whether sums come out right.
 """
 
+from __future__ import annotations
+
 import os
+import warnings
 from importlib.metadata import version
 
 __version__ = "0.1.0"
 
 UNFUSED_SUMS = "--xla_cpu_experimental_ynn_fusion_type=-reduce"
-"""What ``XLA_FLAGS`` is told; a setting of the user's own stays."""
-# Other versions may not know the flag, and XLA ends the process at flags that it does not know.
-if version("jaxlib").startswith("0.10.") and UNFUSED_SUMS.split("=")[0] not in os.environ.get("XLA_FLAGS", ""):
-    os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {UNFUSED_SUMS}".strip()
+"""What ``XLA_FLAGS`` is told where the installed jaxlib needs it."""
+
+FUSES_SUMS_WRONGLY = ("0.10.2", "0.11.0")
+"""Releases of jaxlib that need :data:`UNFUSED_SUMS`.
+
+Tried without the flag and with it, each release from 0.10.0 to 0.12.0.1 on x86-64 Linux: the reports jax-ml/jax#39103
+(a mapped product of matrix and vector, then a sum), #39257 and #40412 (sums of products with 8 and 7 axes), sums of
+products that are broadcast again, and 200 random sums of products with 1 to 8 axes.
+
+    0.10.0, 0.10.1                      all right without the flag
+    0.10.2                              rows of another place in the first and the fourth kind and in one in five of the
+                                        random sums; the second and the third end the process
+    0.11.0                              the second ends the process, as do two of the random sums; one of them is wrong
+    0.11.1, 0.11.2, 0.12.0, 0.12.0.1    all right without the flag
+
+With the flag all come out right in all of these releases, and all of them know it. It is set in none that does without:
+XLA ends the process at a flag that it does not know, as a later release may not.
+"""
+
+
+def xla_flags(jaxlib: str, flags: str) -> str:
+    """``XLA_FLAGS`` as a process with this jaxlib needs it.
+
+    Args:
+        jaxlib: release of the installed jaxlib, e.g. "0.10.2".
+        flags: the variable's present value; empty where it is not set.
+
+    Returns:
+        ``flags`` with :data:`UNFUSED_SUMS` after it where the release needs that. ``flags`` as it is where it sets the
+        same flag itself, and where it names a file, which XLA takes for the whole value (:func:`names_a_file`).
+    """
+    needed = jaxlib in FUSES_SUMS_WRONGLY and not names_a_file(flags)
+    if not needed or UNFUSED_SUMS.partition("=")[0] in flags:
+        return flags
+    return f"{flags} {UNFUSED_SUMS}".strip()
+
+
+def names_a_file(flags: str) -> bool:
+    """Whether XLA reads its flags from a file: it does where ``XLA_FLAGS`` starts with something other than a dash."""
+    return bool(flags.strip()) and not flags.lstrip().startswith("-")
+
+
+def _set_xla_flags() -> None:
+    jaxlib, flags = version("jaxlib"), os.environ.get("XLA_FLAGS", "")
+    wanted = xla_flags(jaxlib, flags)
+    if wanted != flags:
+        os.environ["XLA_FLAGS"] = wanted
+    elif jaxlib in FUSES_SUMS_WRONGLY and names_a_file(flags) and not _file_says_so(flags):
+        warnings.warn(
+            f"XLA_FLAGS names the file {flags!r}, which does not say {UNFUSED_SUMS}; add that line to it: "
+            f"jaxlib {jaxlib} fuses some sums wrongly on CPUs (august doctor tries them)",
+            RuntimeWarning,
+            stacklevel=3,
+        )
+
+
+def _file_says_so(path: str) -> bool:
+    try:
+        with open(path, encoding="utf-8", errors="replace") as file:
+            return UNFUSED_SUMS.partition("=")[0] in file.read()
+    except OSError:
+        return True  # XLA ends the process and names the file
+
+
+_set_xla_flags()

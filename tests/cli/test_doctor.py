@@ -4,11 +4,10 @@ import json
 import os
 import subprocess
 import sys
+from types import SimpleNamespace
 
-import pytest
-
-from august_jax import pipeline
-from august_jax.app import cli
+from august_jax import UNFUSED_SUMS, pipeline
+from august_jax.app import cli, doctor, sums
 
 
 def test_a_sound_installation_passes(capsys):
@@ -16,7 +15,7 @@ def test_a_sound_installation_passes(capsys):
     captured = capsys.readouterr()
     checks = {check["name"]: check for check in json.loads(captured.out)["checks"]}
     assert status == 0, captured.err
-    assert {"python", "packages", "devices", "sums", "physics", "cache", "disk", "weights"} <= set(checks)
+    assert {"python", "packages", "settings", "devices", "sums", "physics", "cache", "disk", "weights"} <= set(checks)
     assert all(check["passed"] is not False and check["detail"] for check in checks.values())
 
 
@@ -33,9 +32,38 @@ def test_what_is_broken_is_named(capsys, monkeypatch, tmp_path):
     assert "weights.npz" in lines["weights"]
 
 
-@pytest.mark.parametrize(("flags", "kept"), [("", ""), ("--xla_cpu_enable_fast_math=false", "fast_math=false")])
-def test_the_package_leaves_out_the_fusion_that_sums_wrongly(flags, kept):
-    code = "import august_jax, os; from august_jax.doctor import _sums; print(os.environ['XLA_FLAGS'], _sums())"
-    run = subprocess.run([sys.executable, "-c", code], env=os.environ | {"XLA_FLAGS": flags}, text=True,
-                         capture_output=True, check=True)
-    assert kept in run.stdout and "(True, 'sums that are broadcast come out right')" in run.stdout
+def test_sums_that_are_fused_wrongly_are_named_with_the_way_out(capsys, monkeypatch):
+    monkeypatch.setattr(sums, "wrong_sums", lambda: ["sums are off by 2"])
+    monkeypatch.setattr(sums, "many_axes_fault", lambda: "products end the process")
+    mends = {"--a": f"set XLA_FLAGS={UNFUSED_SUMS}", "/my/flags": f"add the line {UNFUSED_SUMS} to /my/flags"}
+    for flags, mend in mends.items():
+        monkeypatch.setenv("XLA_FLAGS", flags)
+        passed, detail = doctor._sums()
+        assert not passed and "sums are off by 2; products end the process" in detail and mend in detail
+
+
+def test_a_device_that_is_not_there_is_named():
+    code = "from august_jax.app import cli; raise SystemExit(cli.main(['doctor']))"
+    run = subprocess.run([sys.executable, "-c", code], env=os.environ | {"JAX_PLATFORMS": "abacus"}, text=True,
+                         capture_output=True)
+    assert run.returncode == 2 and run.stderr.splitlines()[-1].startswith("august: failed: devices;")
+    line = next(line for line in run.stdout.splitlines() if " devices " in line)
+    assert line.startswith("FAIL") and "JAX_PLATFORMS: 'abacus'" in line and "set JAX_PLATFORMS=cpu" in line
+
+
+def test_settings_of_jax_are_told(monkeypatch):
+    for name in doctor.SETTINGS:
+        monkeypatch.delenv(name, raising=False)
+    assert doctor._settings() == (True, "JAX's own")
+    monkeypatch.setenv("JAX_PLATFORMS", "cpu")
+    assert doctor._settings() == (True, "JAX_PLATFORMS=cpu")
+    monkeypatch.setenv("JAX_ENABLE_X64", "1")
+    assert doctor._settings()[1].startswith("JAX_PLATFORMS=cpu, JAX_ENABLE_X64=1; samples")
+
+
+def test_the_room_that_data_need_is_said(tmp_path, monkeypatch):
+    free = 5 * 1024**3
+    monkeypatch.setattr(doctor.shutil, "disk_usage", lambda place: SimpleNamespace(free=free))
+    passed, detail = doctor._disk(tmp_path / "new" / "folder")
+    assert passed and detail.startswith("5.0 GiB free; wanted 2")
+    assert "laptop 8.5 (more than there is)" in detail and "paper 2.1" in detail

@@ -15,7 +15,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(args: argparse.Namespace) -> dict[str, Any]:
-    from august_jax import doctor
+    from august_jax.app import doctor
 
     checks = []
     for check in doctor.examine(Path(args.out or ".")):

@@ -1,4 +1,4 @@
-"""Whether this installation can work: versions, devices, a small physics check, places to write, shipped weights."""
+"""Whether this installation can work: versions, devices, sums, a small physics check, room to write, the weights."""
 
 from __future__ import annotations
 
@@ -12,11 +12,16 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple
 
-from august_jax import UNFUSED_SUMS
+from august_jax import UNFUSED_SUMS, config, names_a_file
+from august_jax.app.devices import describe_backend_error
+from august_jax.config import Config
 
 PACKAGES = ("jax", "jaxlib", "numpy", "scipy", "flax", "distrax", "optax", "orbax-checkpoint", "trimesh", "PyYAML",
             "matplotlib")
+SETTINGS = ("JAX_PLATFORMS", "JAX_ENABLE_X64", "JAX_DEFAULT_PRNG_IMPL", "JAX_THREEFRY_PARTITIONABLE")
+"""Variables by which JAX computes elsewhere, or other numbers."""
 _ROOM_BYTES = 2 * 1024**3
+"""For everything but data sets: factored bodies in the cache, runs, results."""
 
 
 class Check(NamedTuple):
@@ -36,13 +41,14 @@ def examine(out: Path) -> Iterator[Check]:
     yield Check("python", True, f"{platform.python_version()} on {platform.system()} {platform.machine()}, "
                                 f"{os.cpu_count()} CPU cores")
     yield _guarded("packages", _packages)
-    yield _guarded("devices", _devices)
-    yield _guarded("sums", _sums)
-    yield _guarded("physics", _physics)
+    yield _guarded("settings", _settings)
+    devices = _guarded("devices", _devices)
+    yield devices
+    if devices.passed:  # nothing can be computed otherwise
+        yield _guarded("sums", _sums)
+        yield _guarded("physics", _physics)
     yield _guarded("cache", _cache)
-    out = next(path for path in (out, *out.absolute().parents) if path.is_dir())
-    room = shutil.disk_usage(out).free
-    yield Check("disk", room > _ROOM_BYTES, f"{room / 1024**3:.1f} GiB free; wanted {_ROOM_BYTES / 1024**3:.0f}")
+    yield _guarded("disk", lambda: _disk(out))
     yield _guarded("weights", _weights)
     collada = find_spec("collada") is not None
     yield Check("dae meshes", True if collada else None,
@@ -53,7 +59,8 @@ def _guarded(name: str, check: Callable[[], tuple[bool | None, str]]) -> Check:
     try:
         return Check(name, *check())
     except Exception as error:  # a broken installation may raise anything, and the doctor must say what
-        return Check(name, False, f"{type(error).__name__}: {str(error).strip().splitlines()[0] if str(error) else ''}")
+        first_line = next(iter(str(error).strip().splitlines()), "")
+        return Check(name, False, describe_backend_error(error) or f"{type(error).__name__}: {first_line}")
 
 
 def _packages() -> tuple[bool, str]:
@@ -66,6 +73,16 @@ def _packages() -> tuple[bool, str]:
     return not missing, "missing: " + ", ".join(missing) if missing else ", ".join(found)
 
 
+def _settings() -> tuple[bool, str]:
+    found = [f"{name}={os.environ[name]}" for name in SETTINGS if name in os.environ]
+    if not found:
+        return True, "JAX's own"
+    return True, ", ".join(found) + (
+        "" if found[0].startswith("JAX_PLATFORMS") and len(found) == 1 else
+        "; samples and training are pinned against these, your own calls of JAX are not"
+    )
+
+
 def _devices() -> tuple[bool, str]:
     import jax
 
@@ -73,17 +90,16 @@ def _devices() -> tuple[bool, str]:
 
 
 def _sums() -> tuple[bool, str]:
-    import jax
-    import jax.numpy as jnp
-    import numpy as np
+    from august_jax.app.sums import many_axes_fault, wrong_sums
 
-    first, second = (np.sin(scale * np.arange(192.0, dtype=np.float32)).reshape(64, 3) for scale in (1.0, 2.0))
-    rows = np.cos(np.arange(500.0, dtype=np.float32))[:, None]
-    fused = jax.jit(jax.vmap(lambda one: jnp.sum(first * one, axis=-1) + rows))(second)
-    error = np.abs(np.asarray(fused) - ((second @ first.T)[:, None] + rows)).max()
-    return bool(error < 1e-4), ("sums that are broadcast come out right" if error < 1e-4 else
-                                f"XLA fuses sums wrongly (off by {error:.1g}): import august_jax before JAX computes, or "
-                                f"set XLA_FLAGS={UNFUSED_SUMS}")
+    fault = many_axes_fault()
+    wrong = [*wrong_sums(), *([fault] if fault else [])]
+    if not wrong:
+        return True, f"right at every size at which releases of jaxlib get them wrong ({version('jaxlib')} here)"
+    flags = os.environ.get("XLA_FLAGS", "")
+    mend = (f"add the line {UNFUSED_SUMS} to {flags}, which XLA_FLAGS names" if names_a_file(flags) else
+            f"import august_jax before JAX computes, or set XLA_FLAGS={UNFUSED_SUMS}")
+    return False, f"jaxlib {version('jaxlib')} fuses sums wrongly: {'; '.join(wrong)}; {mend}"
 
 
 def _physics() -> tuple[bool, str]:
@@ -110,6 +126,23 @@ def _cache() -> tuple[bool, str]:
     with tempfile.TemporaryFile(dir=place):
         pass
     return True, f"{place} can be written"
+
+
+def _disk(out: Path) -> tuple[bool, str]:
+    out = next(path for path in (out, *out.absolute().parents) if path.is_dir())
+    free = shutil.disk_usage(out).free
+    data = {name: _data_bytes(config.preset(name)) for name in config.PRESETS}
+    needs = ", ".join(f"{name} {size / 1024**3:.2g}{'' if size < free else ' (more than there is)'}"
+                      for name, size in data.items())
+    return free > _ROOM_BYTES, (f"{free / 1024**3:.1f} GiB free; wanted {_ROOM_BYTES / 1024**3:.0f}, and for august "
+                                f"simulate by preset [GiB]: {needs}")
+
+
+def _data_bytes(made: Config) -> int:
+    """Size of the data that ``august simulate`` writes."""
+    pairs = made.array.count * (made.array.count + 1) // 2
+    channels = 2 * len(made.array.frequencies_hz) * pairs * 8  # H and H_est, upper triangles, complex64
+    return made.data.count * (channels + made.target.points * 12 + 23 * 4)
 
 
 def _weights() -> tuple[bool, str]:
