@@ -132,7 +132,7 @@ def _disk(out: Path) -> tuple[bool, str]:
     out = next(path for path in (out, *out.absolute().parents) if path.is_dir())
     free = shutil.disk_usage(out).free
     data = {name: _data_bytes(config.preset(name)) for name in config.PRESETS}
-    needs = ", ".join(f"{name} {size / 1024**3:.2g}{'' if size < free else ' (more than there is)'}"
+    needs = ", ".join(f"{name} {max(size / 1024**3, 0.1):.1f}{'' if size < free else ' (more than there is)'}"
                       for name, size in data.items())
     return free > _ROOM_BYTES, (f"{free / 1024**3:.1f} GiB free; wanted {_ROOM_BYTES / 1024**3:.0f}, and for august "
                                 f"simulate by preset [GiB]: {needs}")
