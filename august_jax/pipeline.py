@@ -10,7 +10,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -19,7 +18,7 @@ import numpy as np
 from august_jax import config as configuration
 from august_jax.config import Config
 from august_jax.data import lattice_of, nearest_distance
-from august_jax.models import reconstruct
+from august_jax.models import Networks, reconstruct
 from august_jax.physics import PlanarArray, body_channel, contrast, factor_body, sensing_channel
 from august_jax.scene import Airframe, fly, from_cloud, resolve_airframe, rotation_from_euler
 from august_jax.signal import observe, observe_roi
@@ -32,15 +31,6 @@ _DENSE_POSES = 40
 
 SIZE_RATIO = (0.8, 1.25)
 """A drone's half-wheelbase may be this many times that of the weights."""
-
-
-class Networks(NamedTuple):
-    """Trained networks and the configuration that they were trained with."""
-
-    name: str
-    config: Config
-    graphdef: Any
-    state: Any
 
 
 @dataclass(frozen=True)

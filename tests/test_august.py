@@ -10,30 +10,34 @@ from jax.flatten_util import ravel_pytree
 
 from august_jax.config import preset
 from august_jax.models import create, parameter_count, reconstruct
-from august_jax.models.frame import facing
 from august_jax.models.refchannel import RefChannel, reference_centre
 
 SMOKE = preset("smoke")
 BATCH, POINTS = 4, 12
 
 
-def config(scheme="august", encoder="roi"):
-    model = replace(SMOKE.model, scheme=scheme, encoder=encoder, channel_features=12, encoder_features=16, latent=6,
-                    fourier=2, denoiser=(8, 8), steps=10)
+def config(scheme="august", encoder="roi", frame="craft", **train):
+    model = replace(SMOKE.model, scheme=scheme, encoder=encoder, frame=frame, channel_features=12, encoder_features=16,
+                    latent=6, fourier=2, denoiser=(8, 8), steps=10)
     return replace(SMOKE, array=replace(SMOKE.array, nx=5, nz=4), model=model,
-                   train=replace(SMOKE.train, points=8))
+                   train=replace(SMOKE.train, points=8, **train))
 
 
 def batch(size=20):
+    """What :meth:`August.loss` takes beside a key; the first three are what is received."""
     generator = np.random.default_rng(0)
     channel = generator.normal(size=(2, BATCH, 1, size, size, 2)).astype(np.float32) @ np.array([1e-6, 1e-6j], "F")
     channel = channel + np.swapaxes(channel, -1, -2)
     return {
-        "channel": channel[0], "reference": channel[1],
+        "channel": channel[0],
         "predicted": generator.uniform([3, 4, 2], [7, 8, 5], (BATCH, 3)).astype(np.float32),
         "snr_db": generator.uniform(0, 30, BATCH).astype(np.float32),
         "cloud": generator.uniform(-1, 1, (BATCH, POINTS, 5)).astype(np.float32),
+        "reference": channel[1],
     }
+
+
+RECEIVED = tuple(batch().values())[:3]
 
 
 def networks(settings):
@@ -43,29 +47,40 @@ def networks(settings):
     return graphdef, jax.tree.map(lambda leaf: leaf + 0.1 * generator.normal(size=leaf.shape).astype("f"), state)
 
 
-SCHEMES = [("august", "roi"), ("noebd", "paper"), ("nolatent", "roi"), ("refchannel", "paper")]
+SCHEMES = [("august", "roi", "craft"), ("noebd", "paper", "craft"), ("nolatent", "roi", "region"),
+           ("refchannel", "paper", "craft")]
 
 
-@pytest.mark.parametrize("scheme, encoder", SCHEMES)
-def test_the_loss_is_the_weighted_sum_and_reaches_every_parameter(scheme, encoder):
-    settings = config(scheme, encoder)
-    graphdef, state = networks(settings)
-    train = replace(settings.train, weight_latent=0.01, weight_readout=0.5)
+@pytest.mark.parametrize("scheme, encoder, frame", SCHEMES)
+def test_the_loss_is_the_weighted_sum_and_reaches_every_parameter(scheme, encoder, frame):
+    graphdef, state = networks(config(scheme, encoder, frame, weight_latent=0.01, weight_readout=0.5))
 
     @jax.jit
     def step(state):
         key = jax.random.key(0, impl="rbg")  # it compiles faster
-        return jax.value_and_grad(lambda s: nnx.merge(graphdef, s).loss(key, batch(), train), has_aux=True)(state)
+        return jax.value_and_grad(lambda s: nnx.merge(graphdef, s).loss(key, **batch()), has_aux=True)(state)
 
     (loss, terms), gradient = step(state)
     extra = {"august": {"latent"}, "noebd": {"latent"}, "refchannel": {"reference"}}.get(scheme, set())
-    assert set(terms) == {"position", "material", "readout", "signature"} | extra
-    expected = 0.9 * (terms["position"] + terms["signature"]) + 0.1 * terms["material"]
+    assert set(terms) == {"position", "material", "readout"} | ({"signature"} if frame == "craft" else set()) | extra
+    expected = 0.9 * (terms["position"] + terms.get("signature", 0.0)) + 0.1 * terms["material"]
     expected += 0.01 * terms.get("latent", 0.0) + terms.get("reference", 0.0) + 0.5 * terms["readout"]
     np.testing.assert_allclose(loss, expected, rtol=1e-5)
     silent = [jax.tree_util.keystr(path) for path, leaf in jax.tree_util.tree_leaves_with_path(gradient)
               if not np.abs(leaf).max() > 0]
     assert not silent
+
+
+def test_a_readout_of_weight_0_is_not_there():
+    """No parameters, no term, no computation."""
+    key = jax.random.key(0, impl="rbg")
+    (bare, state), (_, more) = (create(config(frame="region", weight_readout=weight), 0) for weight in (0.0, 0.5))
+    assert set(more) - set(state) == {"readout_head"}
+    model = nnx.merge(bare, state)
+    _, terms = jax.jit(lambda: model.loss(key, **batch()))()
+    assert set(terms) == {"latent", "position", "material"}
+    with pytest.raises(ValueError, match="train.weight_readout: 0 leaves the readout out"):
+        model.readout(np.zeros((BATCH, 6), "f"), model.see(*RECEIVED))
 
 
 def test_an_untrained_denoiser_scores_the_noise_itself():
@@ -75,7 +90,7 @@ def test_an_untrained_denoiser_scores_the_noise_itself():
     data = batch()
     big = {name: np.repeat(array, 200, axis=0) for name, array in data.items()}
     key = jax.random.key(0, impl="rbg")
-    _, terms = jax.jit(lambda state: nnx.merge(graphdef, state).loss(key, big, settings.train))(state)
+    _, terms = jax.jit(lambda state: nnx.merge(graphdef, state).loss(key, **big))(state)
     # five standard errors: variance 6 and 4 of a chi-squared over 800 * 8 points
     np.testing.assert_allclose(terms["position"], 3.0, atol=0.16)
     np.testing.assert_allclose(terms["material"], 2.0, atol=0.13)
@@ -85,59 +100,72 @@ def test_the_latent_term_is_the_relative_entropy():
     """Before training the prior is a standard normal, for which the relative entropy has a closed form."""
     settings = config()
     graphdef, state = create(settings, 0)
-    model, data = nnx.merge(graphdef, state), batch()
-    mean, log_variance = jax.jit(model.posterior)(data["channel"], data["predicted"], data["snr_db"])
+    model = nnx.merge(graphdef, state)
+    mean, log_variance = jax.jit(lambda: model.posterior(model.see(*RECEIVED)))()
     exact = 0.5 * np.sum(np.exp(log_variance) + np.square(mean) - 1.0 - log_variance, axis=-1).mean()
-    terms = jax.jit(jax.vmap(lambda key: model.loss(key, data, settings.train)[1]["latent"]))(
+    terms = jax.jit(jax.vmap(lambda key: model.loss(key, **batch())[1]["latent"]))(
         jax.random.split(jax.random.key(0, impl="rbg"), 400))
     np.testing.assert_allclose(np.mean(terms), exact, atol=5 * np.std(terms) / np.sqrt(400))
 
 
 def test_the_condition_is_the_posterior_s_mean_or_a_sample_of_it():
     graphdef, state = networks(config())
-    model, data = nnx.merge(graphdef, state), batch()
-    inputs = data["channel"], data["predicted"], data["snr_db"]
+    model = nnx.merge(graphdef, state)
     keys = jax.random.split(jax.random.key(0), 2000)
-    (mean, log_variance), condition, samples, read = jax.jit(lambda: (
-        model.posterior(*inputs), model.condition(*inputs), jax.vmap(lambda key: model.condition(*inputs, key))(keys),
-        model.readout(*inputs)))()
+
+    @jax.jit
+    def answers():
+        seen = model.see(*RECEIVED)
+        condition = model.condition(seen)
+        samples = jax.vmap(lambda key: model.condition(seen, key))(keys)
+        return seen, model.posterior(seen), condition, samples, model.readout(condition, seen)
+
+    seen, (mean, log_variance), condition, samples, read = answers()
     np.testing.assert_array_equal(condition, mean)
     np.testing.assert_allclose(samples.std(0), np.exp(0.5 * log_variance), rtol=0.1)
     np.testing.assert_allclose(samples.mean(0), mean, atol=5 * np.exp(0.5 * log_variance).max() / np.sqrt(2000))
-    kernel, bias = model.readout_head.kernel[...], model.readout_head.bias[...]
-    expected = np.array(mean @ kernel + bias)
-    _, centre = model.encoder.channel_input.centred(*inputs[:2])
-    offset = (centre - inputs[1]) / SMOKE.region.scale_m
-    expected[:, :3] += np.asarray(facing(offset[:, None], centre))[:, 0]
-    np.testing.assert_allclose(read, expected, rtol=1e-3, atol=1e-4)
+    expected = np.array(mean @ model.readout_head.kernel[...] + model.readout_head.bias[...])
+    # the offset's components along the bearing of the region's centre, across it, and up
+    offset = (seen.centre - RECEIVED[1]) / SMOKE.region.scale_m
+    bearing = np.asarray(seen.centre[:, :2]) / np.linalg.norm(seen.centre[:, :2], axis=-1, keepdims=True)
+    expected[:, 0] += np.sum(offset[:, :2] * bearing, axis=-1)
+    expected[:, 1] += offset[:, 1] * bearing[:, 0] - offset[:, 0] * bearing[:, 1]
+    expected[:, 2] += offset[:, 2]
+    np.testing.assert_allclose(read.vector(), expected, rtol=1e-3, atol=1e-4)
 
 
 def test_reconstruction_is_a_function_of_its_key():
     graphdef, state = networks(config())
-    data = batch()
-    inputs = data["channel"], data["predicted"], data["snr_db"]
 
     def clouds(seed, **options):
-        return np.asarray(reconstruct(graphdef, state, jax.random.key(seed), *inputs, count=9, **options))
+        return np.asarray(reconstruct(graphdef, state, jax.random.key(seed), *RECEIVED, count=9, **options))
 
     one = clouds(0, steps=4)
     assert one.shape == (BATCH, 9, 5) and np.isfinite(one).all()
     np.testing.assert_array_equal(one, clouds(0, steps=4))
     assert np.abs(one - clouds(1, steps=4)).max() > 0.1
-    with pytest.raises(ValueError, match="sampler: unknown sampler 'euler'; choose dpm or ancestral"):
-        clouds(0, sampler="euler")
-    with pytest.raises(ValueError, match="sampler_steps: 11 .*2..10"):
-        clouds(0, steps=11)
+    for options, message in (
+        ({"sampler": "euler"}, "sampler: unknown sampler 'euler'; choose dpm or ancestral"),
+        ({"steps": 11}, "sampler_steps: 11 .*2..10"),
+        ({"instants": (3,)}, r"instants: \(3,\) are steps of the sampler ancestral, not of 'dpm'"),
+        ({"sampler": "ancestral", "instants": (11,)}, r"instants: \(11,\) .*0..10"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            clouds(0, **options)
 
 
-def test_the_path_of_a_reconstruction():
-    graphdef, state = networks(config())
-    data = batch()
-    inputs = data["channel"], data["predicted"], data["snr_db"]
-    path = jax.jit(lambda state: nnx.merge(graphdef, state).denoising(jax.random.key(0), *inputs, 7, after=(0, 4, 10)))(
-        state)
+@pytest.mark.parametrize("frame", ["craft", "region"])
+def test_the_path_of_a_reconstruction_ends_in_the_reconstruction(frame):
+    graphdef, state = networks(config(frame=frame))
+
+    def clouds(instants):
+        return np.asarray(reconstruct(graphdef, state, jax.random.key(0), *RECEIVED, count=7, sampler="ancestral",
+                                      instants=instants))
+
+    path = clouds((0, 4, 10))
     assert path.shape == (3, BATCH, 7, 5)
     assert np.isfinite(path).all() and np.abs(np.diff(path, axis=0)).max() > 0.1
+    np.testing.assert_array_equal(path[-1], clouds(()))
 
 
 def test_the_reference_channel_is_centred_on_the_box():
@@ -153,24 +181,21 @@ def test_the_reference_channel_is_centred_on_the_box():
 
 
 @pytest.mark.parametrize("scheme, change, message", [
-    ("refchannel", lambda data: data.pop("reference"), "'reference' is missing; scheme 'refchannel' needs"),
-    ("august", lambda data: data.pop("snr_db"), "'snr_db' is missing"),
-    ("august", lambda data: data.update(cloud=np.zeros((BATCH, 9, 3), "f")), r"\['cloud'\]: got shape \(4, 9, 3\)"),
-    ("august", lambda data: data.update(predicted=np.zeros((1, 3), "f")), r"\['predicted'\].*must be \(4, 3\)"),
+    ("refchannel", {"reference": None}, "reference: got None; the scheme 'refchannel' learns from"),
+    ("august", {"cloud": np.zeros((BATCH, 9, 3), "f")}, r"cloud: got shape \(4, 9, 3\)"),
+    ("august", {"predicted": np.zeros((1, 3), "f")}, r"predicted: .*must be \(4, 3\)"),
+    ("august", {"snr_db": np.zeros(3, "f")}, r"snr_db: .*must be \(4,\)"),
 ])
 def test_a_wrong_batch_is_named(scheme, change, message):
-    settings = config(scheme)
-    model = nnx.merge(*create(settings, 0))
-    data = batch()
-    change(data)
+    model = nnx.merge(*create(config(scheme), 0))
     with pytest.raises(ValueError, match=message):
-        model.loss(jax.random.key(0), data, settings.train)
+        model.loss(jax.random.key(0), **(batch() | change))
 
 
 def test_a_scheme_without_a_latent_has_no_posterior():
-    model, data = nnx.merge(*create(config("nolatent"), 0)), batch()
+    model = nnx.merge(*create(config("nolatent"), 0))
     with pytest.raises(ValueError, match="'nolatent' has no posterior; choose august or noebd"):
-        model.posterior(data["channel"], data["predicted"], data["snr_db"])
+        model.posterior(model.see(*RECEIVED))
 
 
 def test_the_paper_s_networks_have_the_paper_s_sizes():

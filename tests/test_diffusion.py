@@ -133,7 +133,7 @@ def test_one_reverse_step_is_the_exact_posterior():
         bar = jnp.asarray(schedule.alpha_bars, jnp.float32)[step]
         return (points - jnp.sqrt(bar) * known) / jnp.sqrt(1.0 - bar)
 
-    path = np.asarray(ancestral(jax.random.key(0), oracle, (1, COUNT, 3), schedule, after=(0, 1, 2)))[:, 0]
+    path = np.asarray(ancestral(jax.random.key(0), oracle, (1, COUNT, 3), schedule, instants=(0, 1, 2)))[:, 0]
     alpha, beta, bar = 0.6, 0.4, 0.9 * 0.6
     mean = np.sqrt(0.9) * beta / (1 - bar) * np.asarray(known) + np.sqrt(alpha) * (1 - 0.9) / (1 - bar) * path[0]
     rest = path[1] - mean
@@ -144,9 +144,9 @@ def test_one_reverse_step_is_the_exact_posterior():
 
 def test_a_path_holds_the_sampler_s_own_end_and_start():
     end = ancestral(jax.random.key(1), gaussian, (2, 5, 3), SCHEDULE)
-    path = ancestral(jax.random.key(1), gaussian, (2, 5, 3), SCHEDULE, after=(0, 150, 200))
+    path = ancestral(jax.random.key(1), gaussian, (2, 5, 3), SCHEDULE, instants=(0, 150, 200))
     assert path.shape == (3, 2, 5, 3)
     np.testing.assert_array_equal(path[2], end)
     assert 0.5 < np.std(path[0]) < 1.5
-    with pytest.raises(ValueError, match="after: .* 0..200"):
-        ancestral(jax.random.key(1), gaussian, (2, 5, 3), SCHEDULE, after=(201,))
+    with pytest.raises(ValueError, match="instants: .* 0..200"):
+        ancestral(jax.random.key(1), gaussian, (2, 5, 3), SCHEDULE, instants=(201,))

@@ -16,6 +16,7 @@ SMOKE = preset("smoke")
 CONFIG = replace(SMOKE, array=replace(SMOKE.array, nx=8, nz=3), model=replace(SMOKE.model, fourier=3))
 ARRAY = PlanarArray(8, 3, CONFIG.array.frequency_hz)
 PREDICTED = np.array([[5.0, 6.0, 3.0], [4.0, 5.0, 4.0]], np.float32)
+SNR_DB = np.full(2, 15.0, np.float32)
 
 
 def point_channel(point, frequency_hz=3e9, amplitude=1e-5):
@@ -70,17 +71,32 @@ def test_a_target_at_the_prediction_is_nearly_its_leading_coefficient():
 
 
 def test_coefficients_and_channels_give_the_same_features():
-    seen = ChannelInput(CONFIG)
+    see = ChannelInput(CONFIG)
     channel = channels(np.array([0.2, -0.3, 0.1]))
-    coefficients = seen.coefficients(channel, PREDICTED)
-    assert coefficients.shape[-1] == seen.orders < seen.antennas
-    np.testing.assert_allclose(seen(channel, PREDICTED), seen(coefficients, PREDICTED), atol=1e-6)
+    coefficients = see.coefficients(channel, PREDICTED)
+    assert coefficients.shape[-1] == see.orders < see.antennas
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=1e-6), see(channel, PREDICTED, SNR_DB),
+                 see(coefficients, PREDICTED, SNR_DB))
+
+
+def test_the_centre_is_the_bearing_of_the_echo_at_the_range_of_the_prediction():
+    offset = np.array([0.2, -0.3, 0.1])
+    seen = ChannelInput(CONFIG)(channels(offset), PREDICTED, SNR_DB)
+    np.testing.assert_allclose(np.linalg.norm(seen.centre, axis=-1), np.linalg.norm(PREDICTED, axis=-1), rtol=1e-5)
+    bearings = (seen.centre, PREDICTED + offset)
+    np.testing.assert_allclose(*(each / np.linalg.norm(each, axis=-1, keepdims=True) for each in bearings), atol=2e-3)
+    np.testing.assert_allclose(seen.offset, (seen.centre - PREDICTED) / CONFIG.region.scale_m, atol=1e-6)
+    np.testing.assert_array_equal(seen.features[:, :3], seen.offset)
+    paper = ChannelInput(replace(CONFIG, model=replace(CONFIG.model, encoder="paper")))
+    seen = paper(channels(offset), PREDICTED, SNR_DB)
+    np.testing.assert_array_equal(seen.centre, PREDICTED)
+    np.testing.assert_array_equal(seen.offset, 0.0)
 
 
 def test_an_unknown_gain_moves_only_phase_and_level():
-    seen = ChannelInput(CONFIG)
     channel = channels(np.array([0.2, -0.3, 0.1]))
-    plain, turned = np.asarray(seen(channel, PREDICTED)), np.asarray(seen(10 * np.exp(0.7j) * channel, PREDICTED))
+    plain, turned = (np.asarray(ChannelInput(CONFIG)(each, PREDICTED, SNR_DB).features)
+                     for each in (channel, (10 * np.exp(0.7j) * channel).astype(np.complex64)))
     np.testing.assert_allclose(turned[:, :-3], plain[:, :-3], atol=2e-3)  # asinh(100 x) of a float32 x
     before, after = plain[:, -3] + 1j * plain[:, -2], turned[:, -3] + 1j * turned[:, -2]
     np.testing.assert_allclose(after / before, np.exp(0.7j), atol=1e-3)
@@ -91,7 +107,7 @@ def test_tones_tell_the_range_beyond_the_prediction():
     """Between two tones a point target turns by 2 (k' - k)(|q| - |q_pre|)."""
     config = replace(CONFIG, array=replace(CONFIG.array, tones_hz=(2.97e9, 3.03e9)))
     offset = np.array([0.2, 0.3, 0.1])
-    features = np.asarray(ChannelInput(config)(channels(offset, config), PREDICTED))
+    features = np.asarray(ChannelInput(config)(channels(offset, config), PREDICTED, SNR_DB).features)
     phase = features[:, -5] + 1j * features[:, -3]  # cosines of two tones, sines of two tones, two levels
     beyond = np.linalg.norm(PREDICTED + offset, axis=-1) - np.linalg.norm(PREDICTED, axis=-1)
     expected = np.exp(2j * 2 * np.pi * 60e6 / 299_792_458.0 * beyond)
@@ -108,13 +124,13 @@ def test_a_silent_channel_gives_finite_features():
 def test_a_channel_of_another_array_is_refused(encoder, wanted):
     config = replace(CONFIG, model=replace(CONFIG.model, encoder=encoder))
     with pytest.raises(ValueError, match=r"channel: got shape \(2, 1, 5, 5\).*" + wanted):
-        ChannelInput(config)(np.zeros((2, 1, 5, 5), np.complex64), PREDICTED)
+        ChannelInput(config)(np.zeros((2, 1, 5, 5), np.complex64), PREDICTED, SNR_DB)
 
 
 @pytest.mark.parametrize("embedding", [True, False])
 def test_the_encoder_hears_snr_only_through_its_embedding(embedding):
     encoder = Encoder(CONFIG, embedding=embedding, rngs=nnx.Rngs(0))
-    answer = jax.jit(lambda snr_db: encoder(channels(np.full(3, 0.1)), PREDICTED, snr_db))
+    answer = jax.jit(lambda snr_db: encoder(ChannelInput(CONFIG)(channels(np.full(3, 0.1)), PREDICTED, snr_db)))
     low, high = np.asarray(answer(np.zeros(2, "f"))), np.asarray(answer(np.full(2, 20.0, "f")))
     assert low.shape == (2, CONFIG.model.encoder_features)
     assert (np.abs(low - high).max() > 0.01) == embedding

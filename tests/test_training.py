@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from august_jax.config import preset
+from august_jax.files import DamagedFile
 from august_jax.models import reconstruct
 from august_jax.training import Checkpoints, compiled_step, initial_state, load_weights, save_weights, train
 from august_jax.training.checkpoint import flatten, warm_start
@@ -50,7 +51,7 @@ def same(one, two):
 def finished(tmp_path_factory):
     folder = tmp_path_factory.mktemp("run")
     lines, drawn = [], []
-    state = train(CONFIG, next_batch, folder, printer=lines.append, draw=lambda *paths: drawn.append(paths),
+    state = train(CONFIG, next_batch, folder, progress=lines.append, draw=lambda *paths: drawn.append(paths),
                   validate=lambda graphdef, arrays, done: {"position_error": done / 100})
     return folder, state, lines, drawn
 
@@ -77,11 +78,11 @@ def test_a_run_continued_after_an_interruption_ends_in_the_same_numbers(finished
         return next_batch(step)
 
     with pytest.raises(ConnectionError):
-        train(CONFIG, interrupted, tmp_path, printer=lambda line: None)
+        train(CONFIG, interrupted, tmp_path)
     stale = tmp_path / "checkpoints" / "3.orbax-checkpoint-tmp"  # what kill -9 leaves of a save
     stale.mkdir()
     lines = []
-    again = train(CONFIG, next_batch, tmp_path, printer=lines.append)
+    again = train(CONFIG, next_batch, tmp_path, progress=lines.append)
     assert lines[0] == "continuing from step 2 of 4"
     assert not stale.exists()
     same(again, state)
@@ -90,13 +91,13 @@ def test_a_run_continued_after_an_interruption_ends_in_the_same_numbers(finished
     assert [(line["step"], line["loss"]) for line in kept] == [(line["step"], line["loss"]) for line in whole]
 
     lines.clear()
-    same(train(CONFIG, next_batch, tmp_path, printer=lines.append, weights=folder / "weights.npz"), state)
-    assert "--init is for new runs" in lines[0]
+    same(train(CONFIG, next_batch, tmp_path, progress=lines.append, weights=folder / "weights.npz"), state)
+    assert "other weights are for new runs" in lines[0]
     with pytest.raises(ValueError, match="train.steps: 3 is less than the 4 steps"):
-        train(replace(CONFIG, train=replace(CONFIG.train, steps=3)), next_batch, tmp_path, printer=lines.append)
+        train(replace(CONFIG, train=replace(CONFIG.train, steps=3)), next_batch, tmp_path, progress=lines.append)
     other = replace(CONFIG, model=replace(MODEL, latent=5))
     with pytest.raises(ValueError, match="model.latent: the run in .* was started with 4, now it is 5"):
-        train(other, next_batch, tmp_path, printer=lambda line: None)
+        train(other, next_batch, tmp_path)
 
 
 def test_a_damaged_checkpoint_is_named_and_the_one_before_serves(finished, tmp_path):
@@ -106,21 +107,33 @@ def test_a_damaged_checkpoint_is_named_and_the_one_before_serves(finished, tmp_p
         if path.is_file():
             path.write_bytes(b"")
     with pytest.raises(ValueError, match="checkpoints/4: the checkpoint cannot be read .*; remove that folder"):
-        train(CONFIG, next_batch, tmp_path / "run", printer=lambda line: None)
+        train(CONFIG, next_batch, tmp_path / "run")
     shutil.rmtree(tmp_path / "run" / "checkpoints" / "4")
     lines = []
-    same(train(CONFIG, next_batch, tmp_path / "run", printer=lines.append), state)
+    same(train(CONFIG, next_batch, tmp_path / "run", progress=lines.append), state)
     assert lines[0] == "continuing from step 2 of 4"
 
 
-def test_weights_without_a_checkpoint_are_set_aside(finished, tmp_path):
-    (tmp_path / "weights.npz").write_bytes((finished[0] / "weights.npz").read_bytes())
+def test_weights_without_a_checkpoint_are_set_aside_and_never_written_over(finished, tmp_path):
+    """They may be the only copy; a run that was stopped before its first checkpoint does not put it at risk."""
+    original = (finished[0] / "weights.npz").read_bytes()
+    (tmp_path / "weights.npz").write_bytes(original)
     (tmp_path / "metrics.jsonl").write_text('{"step": 9}\n')
+    (tmp_path / "config.yaml").write_text("another: configuration\n")
     lines = []
-    train(replace(CONFIG, train=replace(CONFIG.train, seed=3)), next_batch, tmp_path, printer=lines.append)
-    assert (tmp_path / "weights.previous.npz").read_bytes() == (finished[0] / "weights.npz").read_bytes()
+
+    def killed(*_):
+        raise KeyboardInterrupt
+
+    for _ in range(2):
+        with pytest.raises(KeyboardInterrupt):
+            train(CONFIG, next_batch, tmp_path, progress=lines.append, validate=killed)
+    assert "weights.npz of the run before is now weights.previous.npz" in lines[0]
+    assert (tmp_path / "weights.previous.npz").read_bytes() == original
     assert (tmp_path / "metrics.previous.jsonl").read_text() == '{"step": 9}\n'
-    assert "weights.previous.npz" in lines[0]
+    assert (tmp_path / "config.previous.yaml").read_text() == "another: configuration\n"
+    assert {"weights.npz", "weights.previous-2.npz", "config.previous-2.yaml", "metrics.previous-2.jsonl"} <= {
+        path.name for path in tmp_path.iterdir()}
 
 
 def test_a_loss_that_is_not_finite_stops_the_run_by_name(tmp_path):
@@ -131,33 +144,33 @@ def test_a_loss_that_is_not_finite_stops_the_run_by_name(tmp_path):
         return batch
 
     with pytest.raises(FloatingPointError, match="step 2 gave .* not finite in .*material"):
-        train(CONFIG, poisoned, tmp_path, printer=lambda line: None)
+        train(CONFIG, poisoned, tmp_path)
     assert not (tmp_path / "weights.npz").exists()
 
 
 def test_a_step_clips_decays_and_averages():
     """The first Adam step moves every heard parameter by the learning rate; the average starts with weight 2/11."""
-    networks, state = initial_state(CONFIG)
+    layout, state = initial_state(CONFIG)
     before = np.asarray(state.params)
-    state, report = compiled_step(networks, CONFIG.train, state, next_batch(0))
+    state, numbers = compiled_step(layout.loss, CONFIG.train, state, next_batch(0))
     moved = np.asarray(state.params) - before
     heard = np.abs(moved) > 0
     # |g|/(|g| + 1e-8): full size unless a clipped gradient is as small as Adam's epsilon
     np.testing.assert_allclose(np.quantile(np.abs(moved[heard]), 0.95), CONFIG.train.learning_rate[0], rtol=1e-2)
     assert np.abs(moved).max() <= CONFIG.train.learning_rate[0] * (1 + 1e-3)
     np.testing.assert_allclose(np.asarray(state.ema) - before, moved * 9 / 11, atol=1e-6)
-    assert np.isfinite(report["gradient"]) and int(state.step) == 1
+    assert np.isfinite(numbers["gradient"]) and int(state.step) == 1
 
 
 def test_training_learns_where_the_target_is():
     """Three hundred steps from a channel that tells the offset: the cloud's mean follows it."""
     settings = replace(CONFIG, model=replace(MODEL, encoder_features=48, channel_features=32, denoiser=(32, 32)),
                        train=replace(CONFIG.train, steps=300, batch=64, learning_rate=(5e-3, 1e-4)))
-    networks, state = initial_state(settings)
+    layout, state = initial_state(settings)
     for number in range(300):
-        state, _ = compiled_step(networks, settings.train, state, next_batch(number, 64))
+        state, _ = compiled_step(layout.loss, settings.train, state, next_batch(number, 64))
     test = next_batch(10_000, 64)
-    clouds = reconstruct(networks.graphdef, networks.arrays(np.asarray(state.ema)), jax.random.key(0), test["channel"],
+    clouds = reconstruct(layout.graphdef, layout.arrays(np.asarray(state.ema)), jax.random.key(0), test["channel"],
                          test["predicted"], test["snr_db"], count=64, steps=8)
     truth = test["cloud"].mean(axis=1)[:, :3]
     error = np.sqrt(np.mean((np.asarray(clouds)[..., :3].mean(axis=1) - truth) ** 2))
@@ -166,8 +179,8 @@ def test_training_learns_where_the_target_is():
 
 
 def test_weights_come_back_in_full_or_half_precision(tmp_path):
-    networks, state = initial_state(CONFIG)
-    arrays = networks.arrays(np.asarray(state.params))
+    layout, state = initial_state(CONFIG)
+    arrays = layout.arrays(np.asarray(state.params))
     save_weights(tmp_path / "full.npz", arrays)
     save_weights(tmp_path / "half.npz", arrays, half=True)
     _, full = load_weights(tmp_path / "full.npz", CONFIG)
@@ -192,12 +205,38 @@ def test_weights_of_another_configuration_are_refused(change, message, finished)
         load_weights(finished[0] / "weights.npz", replace(CONFIG, model=replace(MODEL, **change)))
 
 
-def test_a_missing_or_damaged_file_of_weights_is_named(tmp_path):
-    with pytest.raises(ValueError, match="weights.npz is not a readable"):
-        load_weights(tmp_path / "weights.npz", CONFIG)
-    (tmp_path / "weights.npz").write_bytes(b"PK\x03\x04 torn")
-    with pytest.raises(ValueError, match="weights.npz is not a readable"):
-        load_weights(tmp_path / "weights.npz", CONFIG)
+@pytest.fixture(scope="module")
+def damaged(finished, tmp_path_factory):
+    """Files of weights by what is wrong with them."""
+    folder = tmp_path_factory.mktemp("damaged")
+    with np.load(finished[0] / "weights.npz") as stored:
+        arrays = dict(stored)
+    name = "mean_head.layers.0.kernel"
+    (folder / "torn.npz").write_bytes(b"PK\x03\x04 torn")
+    np.savez(folder / "nan.npz", **arrays | {name: np.full_like(arrays[name], np.nan)})
+    np.savez(folder / "infinite.npz", **arrays | {name: np.full(arrays[name].shape, 1e300)})
+    np.savez(folder / "whole.npz", **arrays | {name: np.zeros(arrays[name].shape, int)})
+    np.savez(folder / "alien.npz", nothing=np.zeros(3))
+    return folder
+
+
+@pytest.mark.parametrize("file, error, message", [
+    ("missing", FileNotFoundError, "missing.npz"),
+    ("torn", DamagedFile, "torn.npz: is damaged"),
+    ("nan", ValueError, "nan.npz: mean_head.layers.0.kernel holds NaN or infinity"),
+    ("infinite", ValueError, "infinite.npz: mean_head.layers.0.kernel holds NaN or infinity"),
+    ("whole", ValueError, "whole.npz: mean_head.layers.0.kernel holds int64 and no real numbers"),
+    ("alien", ValueError, "alien.npz"),
+])
+@pytest.mark.parametrize("door", ["load_weights", "train"])
+def test_a_wrong_file_of_weights_is_named_before_any_work(door, file, error, message, damaged, tmp_path):
+    path = damaged / f"{file}.npz"
+    with pytest.raises(error, match=message):
+        if door == "load_weights":
+            load_weights(path, CONFIG)
+        else:
+            train(CONFIG, next_batch, tmp_path / "run", weights=path)
+    assert not (tmp_path / "run").exists()
 
 
 def test_an_empty_folder_has_no_checkpoint(tmp_path):
@@ -209,10 +248,10 @@ def test_an_empty_folder_has_no_checkpoint(tmp_path):
 
 
 def test_a_run_may_start_from_what_fits_of_another(tmp_path):
-    networks, state = initial_state(CONFIG)
+    layout, state = initial_state(CONFIG)
     _, other = initial_state(replace(CONFIG, train=replace(CONFIG.train, seed=3)))
-    save_weights(tmp_path / "other.npz", networks.arrays(np.asarray(other.params)))
-    started, kept = warm_start(networks, state, tmp_path / "other.npz")
+    save_weights(tmp_path / "other.npz", layout.arrays(np.asarray(other.params)))
+    started, kept = warm_start(layout, state, tmp_path / "other.npz")
     assert kept == []
     np.testing.assert_array_equal(started.params, other.params)
     np.testing.assert_array_equal(started.ema, other.params)
@@ -220,11 +259,7 @@ def test_a_run_may_start_from_what_fits_of_another(tmp_path):
     wider, grown = initial_state(replace(CONFIG, model=replace(MODEL, denoiser=(24, 16))))
     started, kept = warm_start(wider, grown, tmp_path / "other.npz")
     assert kept and all(name.startswith("denoiser.layers") for name in kept)
-    own, wanted = flatten(wider.arrays(np.asarray(started.params))), flatten(networks.arrays(np.asarray(other.params)))
+    own, wanted = flatten(wider.arrays(np.asarray(started.params))), flatten(layout.arrays(np.asarray(other.params)))
     before = flatten(wider.arrays(np.asarray(grown.params)))
     for name, leaf in own.items():
         np.testing.assert_array_equal(leaf, before[name] if name in kept else wanted[name], err_msg=name)
-
-    np.savez(tmp_path / "alien.npz", nothing=np.zeros(3))
-    with pytest.raises(ValueError, match="no parameter in .*alien.npz fits"):
-        warm_start(networks, state, tmp_path / "alien.npz")

@@ -14,11 +14,11 @@ reparameterised sample z = mu + sigma * xi, summed over the latent's dimensions:
 it.) diag(sigma^2) is the posterior's covariance. At inference the condition is the posterior mean, unless a sample is
 asked for: the mean spares the estimate the posterior's spread, and training saw codes all around it.
 
-An optional term trains a linear readout of the posterior mean to the cloud's moments (`frame.moments`). It shapes
-the latent early, when the diffusion's gradient is mostly noise, and reads a position without sampling a cloud. With
-`config.model.frame` = ``craft`` the cloud first settles on one craft and heading (`signature`), and the diffusion draws
-points in the frame that these and the readout state (`frame`); the squared error of the signature's noise joins the
-loss with the weight gamma_pos.
+An optional term trains a linear readout of the posterior mean to the cloud's reading (`craft.Reading`). It shapes
+the latent early, when the diffusion's gradient is mostly noise, and reads a position without sampling a cloud. Where
+``train.weight_readout`` is 0 there is no readout. With `config.model.frame` = ``craft``, which needs one, the cloud
+first settles on one craft and heading (`signature`), and the diffusion draws points in the frame that these and the
+readout state (`craft.CraftFrame`); the squared error of the signature's noise joins the loss with the weight gamma_pos.
 
 Schemes (`config.model.scheme`): ``august``; ``noebd`` without the embeddings of position and SNR (with the ``roi``
 encoder q_pre still centres the subspace); ``nolatent``, where f itself conditions the diffusion and there is no
@@ -27,23 +27,25 @@ prior; ``refchannel``, see `refchannel`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import nnx
+from jaxtyping import Complex, Float, Key
 
-from august_jax.config import Config, TrainConfig
+from august_jax import streams
+from august_jax.arrays import Array
+from august_jax.config import Config
+from august_jax.models.craft import KIND_SIZE, READING_SIZE, CraftFrame, Reading, RegionFrame, frame_of
 from august_jax.models.denoiser import Denoiser
-from august_jax.models.diffusion import Schedule, add_noise, ancestral, dpm, draw_steps
-from august_jax.models.encoder import Encoder
+from august_jax.models.diffusion import Sample, Schedule, add_noise, ancestral, dpm, draw_steps
+from august_jax.models.encoder import ChannelInput, Encoder, Seen
 from august_jax.models.flow import RealNVP
-from august_jax.models.frame import READINGS, facing, facing_back, into_craft, moments, out_of_craft, straightened
 from august_jax.models.layers import MLP, dense
 from august_jax.models.refchannel import RefChannel
-from august_jax.models.signature import NUMBERS, Signature, shaken
+from august_jax.models.signature import Signature, shaken
 
 SAMPLERS = ("dpm", "ancestral")
 _LOG_VARIANCE_LIMIT = 12.0
@@ -53,8 +55,7 @@ _LOG_VARIANCE_START = -4.0
 class August(nnx.Module):
     """The networks of one scheme; arrays in, arrays out.
 
-    Shapes throughout: channels (B, F, N_b, N_b) complex64, or subspace coefficients (B, F, K, K) where the encoder is
-    ``roi``; predictions (B, 3) [m]; SNRs (B,) [dB]; clouds (B, M, 5).
+    What is received passes :meth:`see` once; the other methods take what was :class:`~encoder.Seen`.
     """
 
     def __init__(self, config: Config, rngs: nnx.Rngs):
@@ -71,18 +72,30 @@ class August(nnx.Module):
             self.mean_head = MLP(model.encoder_features, model.encoder_features, model.latent, rngs=rngs)
             self.variance_head = MLP(model.encoder_features, model.encoder_features, model.latent, rngs=rngs)
             self.prior = RealNVP(model.latent, model.flow_layers, model.flow_features, rngs=rngs)
-        self.signature = (Signature(condition, self.schedule, model.time_embedding, rngs=rngs)
-                          if model.frame == "craft" else None)
-        context = condition + (NUMBERS + 2 if self.signature else 0)  # the signature and the material
+        craft = model.frame == "craft"
+        self.signature = Signature(condition, self.schedule, model.time_embedding, rngs=rngs) if craft else None
+        context = condition + KIND_SIZE if craft else condition
         self.denoiser = Denoiser(model.denoiser, context, self.schedule, model.time_embedding, rngs=rngs)
-        self.readout_head = dense(condition, READINGS, gain=0.0, rngs=rngs)
+        read = craft or config.train.weight_readout > 0.0
+        self.readout_head = dense(condition, READING_SIZE, gain=0.0, rngs=rngs) if read else None
 
     @property
     def has_latent(self) -> bool:
         """Whether the scheme has a latent code and a prior."""
         return self.config.model.scheme in ("august", "noebd")
 
-    def posterior(self, channel: jax.Array, predicted: jax.Array, snr_db: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def see(self, channel: Complex[Array, "batch tones n n"], predicted: Float[Array, "batch 3"],
+            snr_db: Float[Array, " batch"]) -> Seen:
+        """What the networks are told of channels (B, F, N_b, N_b), or of subspace coefficients (B, F, K, K) where the
+        encoder is ``roi``, under predictions (B, 3) [m] and SNRs (B,) [dB].
+
+        Raises:
+            ValueError: the channel is not of the configuration's array.
+        """
+        see = self.reference.see if self.config.model.scheme == "refchannel" else ChannelInput(self.config)
+        return see(jnp.asarray(channel), jnp.asarray(predicted), jnp.asarray(snr_db))
+
+    def posterior(self, seen: Seen) -> tuple[Float[Array, "batch latent"], Float[Array, "batch latent"]]:
         """Mean and log-variance of q(z | H_est), each (B, d_z).
 
         Raises:
@@ -90,196 +103,175 @@ class August(nnx.Module):
         """
         if not self.has_latent:
             raise ValueError(f"model.scheme: {self.config.model.scheme!r} has no posterior; choose august or noebd")
-        features = self.encoder(channel, predicted, snr_db)
+        features = self.encoder(seen)
         # Bounded, so that no exponential overflows; it starts narrow, so that the mean is heard through the sample.
         raw = self.variance_head(features) + _LOG_VARIANCE_START
         return self.mean_head(features), _LOG_VARIANCE_LIMIT * jnp.tanh(raw / _LOG_VARIANCE_LIMIT)
 
-    def condition(self, channel: jax.Array, predicted: jax.Array, snr_db: jax.Array,
-                  key: jax.Array | None = None) -> jax.Array:
+    def condition(self, seen: Seen, key: Key[Array, ""] | None = None) -> Float[Array, "batch condition"]:
         """What conditions the denoiser, (B, C): the posterior mean or, given a key, a sample of the posterior.
 
         Schemes without a latent code have one deterministic condition and ignore the key.
         """
         scheme = self.config.model.scheme
         if scheme == "refchannel":
-            return self.reference.channel_map(self.reference(channel, predicted))
+            return self.reference.channel_map(self.reference(seen))
         if scheme == "nolatent":
-            return self.encoder(channel, predicted, snr_db)
-        mean, log_variance = self.posterior(channel, predicted, snr_db)
+            return self.encoder(seen)
+        mean, log_variance = self.posterior(seen)
         return mean if key is None else _sample(key, mean, log_variance)
 
-    def readout(self, channel: jax.Array, predicted: jax.Array, snr_db: jax.Array) -> jax.Array:
-        """Linear reading of the condition (B, 30): what `frame.moments` says of the cloud, turned as `frame` says.
+    def readout(self, condition: Float[Array, "batch condition"], seen: Seen) -> Reading:
+        """What a linear map of the condition (B, C) reads of the cloud, in the units of the region, its axes turned as
+        the frame faces it.
 
-        It means something only where ``train.weight_readout`` was positive.
+        Raises:
+            ValueError: the networks have no readout.
         """
-        return self._read(self.condition(channel, predicted, snr_db), channel, predicted)
+        if self.readout_head is None:
+            raise ValueError("train.weight_readout: 0 leaves the readout out; train with a positive weight")
+        reading = Reading.from_vector(self.readout_head(condition))
+        # The place is read relative to the point about which the channel is described.
+        offset = self._frame(seen).faced(seen.offset[:, None])[:, 0]
+        return reading._replace(place=reading.place + offset)
 
-    def loss(self, key: jax.Array, batch: Mapping[str, jax.Array],
-             train: TrainConfig) -> tuple[jax.Array, dict[str, jax.Array]]:
+    def loss(self, key: Key[Array, ""], channel: Complex[Array, "batch tones n n"], predicted: Float[Array, "batch 3"],
+             snr_db: Float[Array, " batch"], cloud: Float[Array, "batch points 5"],
+             reference: Complex[Array, "batch tones n n"] | None = None,
+             ) -> tuple[Float[Array, ""], dict[str, Float[Array, ""]]]:
         """The training loss () and its terms, unweighted, by name.
 
-        ``batch`` holds ``channel``, ``predicted``, ``snr_db``, ``cloud`` and, for the scheme ``refchannel``,
-        ``reference``: the channels at the reference place, of the shape of ``channel``. Of clouds with more than
-        ``train.points`` points a random subset is used.
+        Args:
+            key: of all that is drawn.
+            channel, predicted, snr_db: as :meth:`see` takes them.
+            cloud: the true clouds; of more than ``train.points`` points a random subset is used.
+            reference: for the scheme ``refchannel``, the channels at the reference place, of the shape of ``channel``.
 
         Raises:
             ValueError: an array is missing or its shape does not fit.
         """
-        scheme = self.config.model.scheme
-        self._check(batch)
-        batch = {name: jnp.asarray(array) for name, array in batch.items()}
+        train, scheme = self.config.train, self.config.model.scheme
+        cloud = jnp.asarray(cloud)
+        self._check(predicted, snr_db, cloud, reference)
         step_key, noise_key, latent_key, point_key, signature_key = jax.random.split(key, 5)
-        cloud = batch["cloud"]
         clouds, count = cloud.shape[:2]
-        inputs = (batch["channel"], batch["predicted"], batch["snr_db"])
+        seen = self.see(channel, predicted, snr_db)
+        frame = self._frame(seen)
         terms = {}
         if self.has_latent:
-            mean, log_variance = self.posterior(*inputs)
+            mean, log_variance = self.posterior(seen)
             condition, read = _sample(latent_key, mean, log_variance), mean
             entropy = 0.5 * jnp.sum(1.0 + jnp.log(2.0 * jnp.pi) + log_variance, axis=-1)
             terms["latent"] = jnp.mean(-entropy - self.prior.log_prob(condition))
         elif scheme == "nolatent":
-            condition = read = self.condition(*inputs)
+            condition = read = self.condition(seen)
         else:
-            estimate = self.reference(*inputs[:2])
+            estimate = self.reference(seen)
             condition = read = self.reference.channel_map(estimate)
-            terms["reference"] = self.reference.loss(estimate, batch["reference"])
+            terms["reference"] = self.reference.loss(estimate, jnp.asarray(reference))
 
-        if self.signature:
-            cloud = facing(cloud, self._centre(*inputs[:2]))
-        truth = moments(cloud)
-        points = cloud
+        points, truth = cloud, None
         if train.points < count:
             points = cloud[:, jax.random.choice(point_key, count, (train.points,), replace=False)]
-        if self.signature:
+        if self.readout_head is not None:
+            truth = frame.read(cloud)
+            error = self.readout(read, seen).vector() - truth.vector()
+            terms["readout"] = jnp.mean(jnp.sum(error**2, axis=-1))
+        if self.signature is not None:
             draw_key, shake_key = jax.random.split(signature_key)
-            terms["signature"] = self.signature.loss(draw_key, truth[:, -NUMBERS:], condition)
-            own = truth.at[:, -NUMBERS:].set(shaken(shake_key, truth[:, -NUMBERS:]))
-            condition = self._context(condition, own)
-            points = into_craft(points, own, self._frame_scale)
+            terms["signature"] = self.signature.loss(draw_key, truth.harmonics, condition)
+            truth = truth._replace(harmonics=shaken(shake_key, truth.harmonics))
+            condition = _context(condition, truth)
+        points = frame.into(points, truth)
         step = draw_steps(step_key, clouds, self.schedule)
         noise = jax.random.normal(noise_key, points.shape)
         noisy = add_noise(points, noise, step, self.schedule)
         error = (noise - self.denoiser(noisy, step, condition)) ** 2
         terms["position"] = jnp.mean(jnp.sum(error[..., :3], axis=-1))
         terms["material"] = jnp.mean(jnp.sum(error[..., 3:], axis=-1))
-        terms["readout"] = jnp.mean(jnp.sum((self._read(read, *inputs[:2]) - truth) ** 2, axis=-1))
         weights = {
             "position": train.weight_position, "material": train.weight_material, "latent": train.weight_latent,
             "reference": 1.0, "readout": train.weight_readout, "signature": train.weight_position,
         }
         return sum(weights[name] * term for name, term in terms.items()), terms
 
-    def reconstruct(self, key: jax.Array, channel: jax.Array, predicted: jax.Array, snr_db: jax.Array, count: int, *,
-                    sampler: str = "dpm", steps: int = 10, sample_latent: bool = False) -> jax.Array:
+    def reconstruct(self, key: Key[Array, ""], channel: Complex[Array, "batch tones n n"],
+                    predicted: Float[Array, "batch 3"], snr_db: Float[Array, " batch"], count: int, *,
+                    sampler: str = "dpm", steps: int = 10, sample_latent: bool = False, instants: tuple[int, ...] = (),
+                    ) -> Float[Array, "*instants batch {count} 5"]:
         """Clouds (B, ``count``, 5) drawn given the channels.
 
         Args:
+            key: of all that is drawn.
+            channel, predicted, snr_db: as :meth:`see` takes them.
+            count: points of a cloud.
             sampler: ``dpm``, with ``steps`` network evaluations, or ``ancestral``, always with all S.
             sample_latent: condition on a sample of the posterior, not on its mean.
+            instants: counts of completed steps, 0..S, of the sampler ``ancestral``: the clouds on their way at these
+                instants, (I, B, ``count``, 5). At S they are the clouds that the same key gives without.
 
         Raises:
-            ValueError: an unknown sampler, or a number of steps that does not fit the schedule.
+            ValueError: an unknown sampler, instants of another than ``ancestral``, or a number of steps that does not
+                fit the schedule.
         """
-        if sampler not in SAMPLERS:
-            raise ValueError(f"sampler: unknown sampler {sampler!r}; choose dpm or ancestral")
         latent_key, signature_key, key = jax.random.split(key, 3)
-        condition = self.condition(channel, predicted, snr_db, latent_key if sample_latent else None)
-        sample = self._sampler(sampler, steps)
-        reading = self._read(condition, channel, predicted)
-        context, reading = self._settle(signature_key, condition, reading, sample)
-        cloud = sample(key, self._denoise(context), (len(context), count, 5))
-        return self._in_region(cloud, reading, self._centre(channel, predicted))
+        seen = self.see(channel, predicted, snr_db)
+        context = condition = self.condition(seen, latent_key if sample_latent else None)
+        sample, reading = self._sampler(sampler, steps), None
+        if self.signature is not None:
+            # Headings that the channel leaves open are drawn, once a cloud; the material is read, like the place: a
+            # mean errs less than one draw from the posterior.
+            harmonics = self.signature.draw(signature_key, condition, sample)
+            reading = self.readout(condition, seen)._replace(harmonics=harmonics)
+            context = _context(condition, reading)
 
-    def denoising(self, key: jax.Array, channel: jax.Array, predicted: jax.Array, snr_db: jax.Array, count: int, *,
-                  after: tuple[int, ...]) -> jax.Array:
-        """The clouds on their way, (len(after), B, count, 5), once ``after`` of the S ancestral steps are done."""
-        condition = self.condition(channel, predicted, snr_db)
-        signature_key, key = jax.random.split(key)
-        reading = self._read(condition, channel, predicted)
-        context, reading = self._settle(signature_key, condition, reading, self._sampler("ancestral"))
-        path = ancestral(key, self._denoise(context), (condition.shape[0], count, 5), self.schedule, after)
-        return self._in_region(path, reading, self._centre(channel, predicted))
+        def denoise(points, step):
+            return self.denoiser(points, step, context)
 
-    @property
-    def _frame_scale(self) -> float:
-        return self.config.region.scale_m / self.config.target.half_wheelbase_m
+        frame, shape = self._frame(seen), (len(context), count, 5)
+        if not instants:
+            return frame.out(sample(key, denoise, shape), reading)
+        if sampler != "ancestral":
+            raise ValueError(f"instants: {instants} are steps of the sampler ancestral, not of {sampler!r}")
+        path = ancestral(key, denoise, shape, self.schedule, instants)
+        return jax.lax.map(lambda points: frame.out(points, reading), path)
 
-    def _read(self, condition: jax.Array, channel: jax.Array, predicted: jax.Array) -> jax.Array:
-        reading = self.readout_head(condition)
-        # The place is read relative to the point about which the encoder describes the channel.
-        centre = self._centre(channel, predicted)
-        offset = (centre - predicted) / self.config.region.scale_m
-        if self.signature:
-            offset = facing(offset[:, None], centre)[:, 0]
-        return reading.at[:, :3].add(offset)
+    def _frame(self, seen: Seen) -> RegionFrame | CraftFrame:
+        return frame_of(self.config, seen.centre)
 
-    def _centre(self, channel: jax.Array, predicted: jax.Array) -> jax.Array:
-        """The point (B, 3) [m] about which the channel is described: the echo's bearing for ``roi``, else q_pre."""
-        if self.config.model.scheme == "refchannel":
-            return predicted
-        return self.encoder.channel_input.centred(channel, predicted)[1]
-
-    def _context(self, condition: jax.Array, reading: jax.Array) -> jax.Array:
-        """The denoiser's context: the condition, the signature in the craft's own axes, and the material.
-
-        The material is read like the place: a mean errs less than one draw from the posterior.
-        """
-        return jnp.concatenate([condition, straightened(reading[:, -NUMBERS:]), reading[:, 3:5]], axis=-1)
-
-    def _settle(self, key: jax.Array, condition: jax.Array, reading: jax.Array, sample) -> tuple[jax.Array, jax.Array]:
-        """The denoiser's context and the reading, in which a signature that was drawn stands for the one read."""
-        if self.signature is None:
-            return condition, reading
-        reading = reading.at[:, -NUMBERS:].set(self.signature.draw(key, condition, sample))
-        return self._context(condition, reading), reading
-
-    def _in_region(self, clouds: jax.Array, reading: jax.Array, centre: jax.Array) -> jax.Array:
-        """Diffused clouds (..., B, M, 5) in the coordinates of the region."""
-        if self.signature is None:
-            return clouds
-        return facing_back(out_of_craft(clouds, reading, self._frame_scale), centre)
-
-    def _sampler(self, name: str, steps: int = 0):
-        """(key, denoise, shape) -> draws, by one of SAMPLERS."""
+    def _sampler(self, name: str, steps: int) -> Sample:
+        """One of SAMPLERS with this schedule."""
         if name == "dpm":
             return lambda key, denoise, shape: dpm(key, denoise, shape, self.schedule, steps)
-        return lambda key, denoise, shape: ancestral(key, denoise, shape, self.schedule)
+        if name == "ancestral":
+            return lambda key, denoise, shape: ancestral(key, denoise, shape, self.schedule)
+        raise ValueError(f"sampler: unknown sampler {name!r}; choose {' or '.join(SAMPLERS)}")
 
-    def _denoise(self, condition: jax.Array):
-        return lambda points, step: self.denoiser(points, step, condition)
-
-    def _check(self, batch: Mapping[str, jax.Array]) -> None:
-        wanted = ["channel", "predicted", "snr_db", "cloud"]
-        if self.config.model.scheme == "refchannel":
-            wanted.append("reference")
-        for name in wanted:
-            if name not in batch:
-                raise ValueError(f"batch: {name!r} is missing; scheme {self.config.model.scheme!r} needs "
-                                 f"{', '.join(wanted)}, got {', '.join(batch)}")
-        clouds = batch["cloud"].shape[0] if batch["cloud"].ndim else 0
-        shapes = {"predicted": (clouds, 3), "snr_db": (clouds,), "cloud": (clouds, *batch["cloud"].shape[1:2], 5)}
-        for name, shape in shapes.items():
-            if batch[name].shape != shape:
-                raise ValueError(f"batch[{name!r}]: got shape {batch[name].shape}; with {clouds} clouds it must be "
-                                 f"{shape}")
+    def _check(self, predicted: Array, snr_db: Array, cloud: Array, reference: Array | None) -> None:
+        if self.config.model.scheme == "refchannel" and reference is None:
+            raise ValueError("reference: got None; the scheme 'refchannel' learns from channels at the reference place")
+        clouds = cloud.shape[0] if cloud.ndim else 0
+        for name, array, shape in (("predicted", predicted, (clouds, 3)), ("snr_db", snr_db, (clouds,)),
+                                   ("cloud", cloud, (clouds, *cloud.shape[1:2], 5))):
+            if array.shape != shape:
+                raise ValueError(f"{name}: got shape {array.shape}; with {clouds} clouds it must be {shape}")
 
 
 def create(config: Config, seed: int) -> tuple[nnx.GraphDef, nnx.State]:
     """The networks of ``config``, initialised from ``seed``, as (graphdef, state); ``nnx.merge`` joins them again."""
-    return nnx.split(August(config, nnx.Rngs(seed)))
+    return nnx.split(August(config, nnx.Rngs(streams.key(seed, "train.parameters"))))
 
 
-@partial(jax.jit, static_argnames=("graphdef", "count", "sampler", "steps", "sample_latent"))
-def reconstruct(graphdef: nnx.GraphDef, state: nnx.State, key: jax.Array, channel: jax.Array, predicted: jax.Array,
-                snr_db: jax.Array, *, count: int, sampler: str = "dpm", steps: int = 10,
-                sample_latent: bool = False) -> jax.Array:
+@partial(jax.jit, static_argnames=("graphdef", "count", "sampler", "steps", "sample_latent", "instants"))
+def reconstruct(graphdef: nnx.GraphDef, state: nnx.State, key: Key[Array, ""],
+                channel: Complex[Array, "batch tones n n"], predicted: Float[Array, "batch 3"],
+                snr_db: Float[Array, " batch"], *, count: int, sampler: str = "dpm", steps: int = 10,
+                sample_latent: bool = False, instants: tuple[int, ...] = (),
+                ) -> Float[Array, "*instants batch {count} 5"]:
     """:meth:`August.reconstruct` of networks that :func:`create` split, compiled once for each shape."""
     model = nnx.merge(graphdef, state)
     return model.reconstruct(key, channel, predicted, snr_db, count, sampler=sampler, steps=steps,
-                             sample_latent=sample_latent)
+                             sample_latent=sample_latent, instants=instants)
 
 
 def parameter_count(state: nnx.State) -> int:
@@ -287,5 +279,10 @@ def parameter_count(state: nnx.State) -> int:
     return int(sum(np.prod(leaf.shape, dtype=int) for leaf in jax.tree.leaves(state)))
 
 
-def _sample(key: jax.Array, mean: jax.Array, log_variance: jax.Array) -> jax.Array:
+def _sample(key: Array, mean: Array, log_variance: Array) -> Array:
     return mean + jnp.exp(0.5 * log_variance) * jax.random.normal(key, mean.shape)
+
+
+def _context(condition: Array, reading: Reading) -> Array:
+    """The denoiser's context in the craft's frame: the condition, and what craft it is."""
+    return jnp.concatenate([condition, reading.kind()], axis=-1)

@@ -23,9 +23,15 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float, Int, Key
 
-Denoise = Callable[[jax.Array, jax.Array], jax.Array]
+from august_jax.arrays import Array
+
+Denoise = Callable[[Array, Array], Array]
 """(points (B, P, D), step s ()) -> estimated noise (B, P, D)."""
+
+Sample = Callable[[Array, Denoise, tuple[int, int, int]], Array]
+"""(key, denoise, shape (B, P, D)) -> draws of that shape: a sampler with its schedule."""
 
 
 @dataclass(frozen=True)
@@ -36,23 +42,23 @@ class Schedule:
     beta: tuple[float, float]
 
     @property
-    def betas(self) -> np.ndarray:
+    def betas(self) -> Float[np.ndarray, " levels"]:
         """beta_s for s = 0..S, float64 (S + 1,); beta_0 = 0."""
         return np.concatenate([[0.0], np.linspace(*self.beta, self.steps)])
 
     @property
-    def alpha_bars(self) -> np.ndarray:
+    def alpha_bars(self) -> Float[np.ndarray, " levels"]:
         """abar_s for s = 0..S, float64 (S + 1,); abar_0 = 1."""
         return np.cumprod(1.0 - self.betas)
 
     @property
-    def half_log_snr(self) -> np.ndarray:
+    def half_log_snr(self) -> Float[np.ndarray, " steps"]:
         """lambda_s for s = 1..S, float64 (S,); decreasing."""
         bars = self.alpha_bars[1:]
         return 0.5 * (np.log(bars) - np.log1p(-bars))
 
 
-def draw_steps(key: jax.Array, count: int, schedule: Schedule) -> jax.Array:
+def draw_steps(key: Key[Array, ""], count: int, schedule: Schedule) -> Int[Array, " {count}"]:
     """One step s in 1..S a cloud, int32 (count,): each uniform, together spread evenly over the schedule.
 
     A common random shift of a regular grid has the same marginal as independent draws and less variance.
@@ -61,20 +67,25 @@ def draw_steps(key: jax.Array, count: int, schedule: Schedule) -> jax.Array:
     return jnp.minimum(1 + (places * schedule.steps).astype(jnp.int32), schedule.steps)
 
 
-def add_noise(points: jax.Array, noise: jax.Array, step: jax.Array, schedule: Schedule) -> jax.Array:
+def add_noise(points: Float[Array, "batch points dimensions"], noise: Float[Array, "batch points dimensions"],
+              step: Int[Array, " batch"], schedule: Schedule) -> Float[Array, "batch points dimensions"]:
     """p_s (B, P, D) from p_0 (B, P, D), unit noise of that shape and the step s (B,) of each cloud."""
     bars = jnp.asarray(schedule.alpha_bars, points.dtype)[step][:, None, None]
     return jnp.sqrt(bars) * points + jnp.sqrt(1.0 - bars) * noise
 
 
-def ancestral(key: jax.Array, denoise: Denoise, shape: tuple[int, int, int], schedule: Schedule,
-              after: tuple[int, ...] = ()) -> jax.Array:
+def ancestral(key: Key[Array, ""], denoise: Denoise, shape: tuple[int, int, int], schedule: Schedule,
+              instants: tuple[int, ...] = ()) -> Float[Array, "*instants batch points dimensions"]:
     """Clouds of ``shape`` (B, P, D) by the paper's S-step sampler.
 
-    With ``after``, counts of completed steps in 0..S, the clouds at those moments instead: (len(after), B, P, D).
+    With ``instants``, counts of completed steps in 0..S, the clouds at those instants instead: (I, B, P, D). At S they
+    are the clouds that the same key gives without.
+
+    Raises:
+        ValueError: an instant outside 0..S.
     """
-    if any(not 0 <= done <= schedule.steps for done in after):
-        raise ValueError(f"after: {after} counts completed steps; each must lie in 0..{schedule.steps}")
+    if any(not 0 <= done <= schedule.steps for done in instants):
+        raise ValueError(f"instants: {instants} counts completed steps; each must lie in 0..{schedule.steps}")
     betas, bars = schedule.betas, schedule.alpha_bars
     steps = np.arange(schedule.steps, 0, -1)
     noise_scale = (1.0 - betas[steps]) ** -0.5 * betas[steps] / np.sqrt(1.0 - bars[steps])
@@ -87,13 +98,13 @@ def ancestral(key: jax.Array, denoise: Denoise, shape: tuple[int, int, int], sch
         step, (grow, remove, spread) = row
         fresh = jax.random.normal(jax.random.fold_in(key, step), shape)
         points = grow * points - remove * denoise(points, step) + spread * fresh
-        return points, points if after else None
+        return points, points if instants else None
 
     last, path = jax.lax.scan(reverse, start, (jnp.asarray(steps), table))
-    return jnp.concatenate([start[None], path])[np.asarray(after)] if after else last
+    return jnp.concatenate([start[None], path])[np.asarray(instants)] if instants else last
 
 
-def dpm_steps(schedule: Schedule, evaluations: int) -> np.ndarray:
+def dpm_steps(schedule: Schedule, evaluations: int) -> Int[np.ndarray, " {evaluations}"]:
     """The steps s that :func:`dpm` visits, int (evaluations,): S, ..., 1, about even in log-SNR.
 
     Raises:
@@ -113,8 +124,8 @@ def dpm_steps(schedule: Schedule, evaluations: int) -> np.ndarray:
     return np.minimum(slack, schedule.steps - evaluations) + floor
 
 
-def dpm(key: jax.Array, denoise: Denoise, shape: tuple[int, int, int], schedule: Schedule,
-        evaluations: int) -> jax.Array:
+def dpm(key: Key[Array, ""], denoise: Denoise, shape: tuple[int, int, int], schedule: Schedule,
+        evaluations: int) -> Float[Array, "batch points dimensions"]:
     """Clouds of ``shape`` (B, P, D) by DPM-Solver++(2M) with that many network evaluations; see the module's top."""
     steps = dpm_steps(schedule, evaluations)
     bars = schedule.alpha_bars[steps]

@@ -17,11 +17,16 @@ product starts near h_vec itself and not near zero.) What enters as v is the cho
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import nnx
+from jaxtyping import Float
 
+from august_jax.arrays import Array
 from august_jax.config import ArrayConfig, Config
 from august_jax.constants import SPEED_OF_LIGHT
 from august_jax.models.embedding import position_features, snr_features
@@ -72,37 +77,58 @@ def roi_features(coefficients: jax.Array, predicted: jax.Array, wavenumbers: np.
     return jnp.concatenate([scaled.reshape(batch, -1), phase.real, phase.imag, level(norm, distance)], axis=-1)
 
 
-class ChannelInput(nnx.Module):
-    """What the networks see of the channel: v of the module's top, from the antennas or from the subspace.
+class Seen(NamedTuple):
+    """What the networks are told of an echo, worked out once and passed on; a pytree.
 
     Attributes:
-        size: length of v.
+        features: v of the module's top (B, D).
+        snr_db: SNR as the receiver estimates it (B,) [dB].
+        centre: the point about which the features describe the channel (B, 3) [m].
+        offset: how far it lies from q_pre, in units of the region's scale (B, 3).
     """
 
-    def __init__(self, config: Config):
-        self.config = config
-        tones = len(config.array.frequencies_hz)
-        self.antennas = config.array.count
-        self.orders = roi.legendre_basis(config.array.nx, config.array.nz).shape[1]
-        if config.model.encoder == "paper":
-            self.size = 2 * tones * self.antennas**2 + 1
-        else:
-            self.size = tones * (len(_GAINS) * self.orders * (self.orders + 1) + 3) + 3
+    features: Float[Array, "batch features"]
+    snr_db: Float[Array, " batch"]
+    centre: Float[Array, "batch 3"]
+    offset: Float[Array, "batch 3"]
 
-    def __call__(self, channel: jax.Array, predicted: jax.Array) -> jax.Array:
-        """v (B, size) of channels (B, F, N_b, N_b) or, for ``roi``, also of coefficients (B, F, K, K)."""
-        channel, centre = self.centred(channel, predicted)
+
+@dataclass(frozen=True)
+class ChannelInput:
+    """What the networks see of the channel: v of the module's top, from the antennas or from the subspace.
+
+    Hashable, so that it may be static under jit.
+    """
+
+    config: Config
+
+    @property
+    def antennas(self) -> int:
+        """N_b."""
+        return self.config.array.count
+
+    @property
+    def orders(self) -> int:
+        """K."""
+        return roi.default_count(self.config.array.nx, self.config.array.nz)
+
+    @property
+    def size(self) -> int:
+        """Length of v."""
+        tones = len(self.config.array.frequencies_hz)
         if self.config.model.encoder == "paper":
-            return paper_features(channel, predicted)
-        offset = (centre - predicted) / self.config.region.scale_m
-        return jnp.concatenate([offset, roi_features(channel, centre, self._wavenumbers())], axis=-1)
+            return 2 * tones * self.antennas**2 + 1
+        return tones * (len(_GAINS) * self.orders * (self.orders + 1) + 3) + 3
 
-    def centred(self, channel: jax.Array, predicted: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """What describes the channel, and the point (B, 3) [m] about which: H_est and q_pre for ``paper``, coefficients
-        A (B, F, K, K) about the echo's bearing at the range of q_pre for ``roi``."""
+    def __call__(self, channel: jax.Array, predicted: jax.Array, snr_db: jax.Array) -> Seen:
+        """What is seen of channels (B, F, N_b, N_b) or, for ``roi``, also of coefficients (B, F, K, K) about q_pre,
+        under predictions (B, 3) [m] and SNRs (B,) [dB].
+
+        Its centre is q_pre for ``paper``, the echo's bearing at the range of q_pre for ``roi``.
+        """
         if self.config.model.encoder == "paper":
             self._check(channel, (self.antennas,))
-            return channel, predicted
+            return Seen(paper_features(channel, predicted), snr_db, predicted, jnp.zeros_like(predicted))
         array, wavenumbers = self.config.array, self._wavenumbers()
         coefficients = self.coefficients(channel, predicted)
         basis, positions = jnp.asarray(roi.legendre_basis(array.nx, array.nz)), jnp.asarray(_positions(array))
@@ -111,7 +137,10 @@ class ChannelInput(nnx.Module):
             each, place, (array.nx, array.nz), spacing, wavenumbers, basis))(coefficients, predicted)
         tones = jax.vmap(roi.recentre, in_axes=(0, None, None, None, 0, None))
         samples = jax.vmap(tones, in_axes=(0, 0, 0, None, None, None))
-        return samples(coefficients, predicted, centre, positions, wavenumbers, basis), centre
+        moved = samples(coefficients, predicted, centre, positions, wavenumbers, basis)
+        offset = (centre - predicted) / self.config.region.scale_m
+        features = jnp.concatenate([offset, roi_features(moved, centre, wavenumbers)], axis=-1)
+        return Seen(features, snr_db, centre, offset)
 
     def coefficients(self, channel: jax.Array, predicted: jax.Array) -> jax.Array:
         """A (B, F, K, K): projected about ``predicted`` (B, 3) [m], unless ``channel`` holds it already."""
@@ -144,13 +173,12 @@ def _positions(array: ArrayConfig) -> np.ndarray:
 
 
 class Encoder(nnx.Module):
-    """(H_est, q_pre, SNR) -> f (B, d_f). ``embedding`` False drops w1 and w2: f = F_enc(h_vec)."""
+    """(v, q_pre, SNR) -> f (B, d_f). ``embedding`` False drops w1 and w2: f = F_enc(h_vec)."""
 
     def __init__(self, config: Config, *, embedding: bool, rngs: nnx.Rngs):
         model = config.model
         self.config = config
-        self.channel_input = ChannelInput(config)
-        self.channel_map = dense(self.channel_input.size, model.channel_features, rngs=rngs)
+        self.channel_map = dense(ChannelInput(config).size, model.channel_features, rngs=rngs)
         self.embedding = embedding
         width = model.channel_features
         if embedding:
@@ -160,15 +188,12 @@ class Encoder(nnx.Module):
         self.trunk = ResidualMLP(2 * width if embedding else width, model.encoder_features, model.encoder_layers,
                                  rngs=rngs)
 
-    def __call__(self, channel: jax.Array, predicted: jax.Array, snr_db: jax.Array) -> jax.Array:
-        """Features f (B, d_f) of channels (B, F, N, N), predictions (B, 3) [m] and SNRs (B,) [dB]."""
-        hidden = self.channel_map(self.channel_input(channel, predicted))
+    def __call__(self, seen: Seen) -> Float[Array, "batch features"]:
+        """Features f (B, d_f) of what :class:`ChannelInput` saw."""
+        hidden = self.channel_map(seen.features)
         if self.embedding:
             model = self.config.model
-            _, centre = self.channel_input.centred(channel, predicted)
-            place = position_features(centre, model.fourier, self.config.flight, raw_metres=model.raw_metres)
-            hidden = jnp.concatenate(
-                [(1.0 + self.position_head(place)) * hidden, self.snr_head(snr_features(snr_db, model.fourier))],
-                axis=-1,
-            )
+            place = position_features(seen.centre, model.fourier, self.config.flight, raw_metres=model.raw_metres)
+            told = self.snr_head(snr_features(seen.snr_db, model.fourier))
+            hidden = jnp.concatenate([(1.0 + self.position_head(place)) * hidden, told], axis=-1)
         return self.trunk(hidden)

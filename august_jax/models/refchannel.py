@@ -12,10 +12,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import nnx
+from jaxtyping import Float
 
+from august_jax.arrays import Array
 from august_jax.config import Config
 from august_jax.models.embedding import position_features
-from august_jax.models.encoder import ChannelInput
+from august_jax.models.encoder import ChannelInput, Seen
 from august_jax.models.layers import ResidualMLP, dense
 
 
@@ -47,11 +49,15 @@ class RefChannel(nnx.Module):
         flat = flat / jnp.maximum(jnp.linalg.norm(flat, axis=-1, keepdims=True), 1e-30)
         return jnp.concatenate([flat.real, flat.imag], axis=-1)
 
-    def __call__(self, channel: jax.Array, predicted: jax.Array) -> jax.Array:
-        """The estimated reference channel (B, size), as :meth:`vector` writes it, from (B, F, N, N) and (B, 3) [m]."""
+    def see(self, channel: jax.Array, predicted: jax.Array, snr_db: jax.Array) -> Seen:
+        """What is seen of channels (B, F, N, N) under predictions (B, 3) [m]: :meth:`vector` about q_pre itself."""
+        return Seen(self.vector(channel, predicted), snr_db, predicted, jnp.zeros_like(predicted))
+
+    def __call__(self, seen: Seen) -> Float[Array, "batch features"]:
+        """The estimated reference channel (B, size), as :meth:`vector` writes it, from what :meth:`see` saw."""
         model = self.config.model
-        place = position_features(predicted, model.fourier, self.config.flight, raw_metres=model.raw_metres)
-        return self.head(self.trunk(jnp.concatenate([self.vector(channel, predicted), place], axis=-1)))
+        place = position_features(seen.centre, model.fourier, self.config.flight, raw_metres=model.raw_metres)
+        return self.head(self.trunk(jnp.concatenate([seen.features, place], axis=-1)))
 
     def loss(self, estimate: jax.Array, reference: jax.Array) -> jax.Array:
         """Mean squared error () of ``estimate`` (B, size) against reference channels (B, F, N, N), relative to them."""

@@ -2,10 +2,11 @@
 
 from august_jax.training.checkpoint import Checkpoints, load_weights, save_weights
 from august_jax.training.loop import train
-from august_jax.training.step import TrainState, compiled_step, initial_state, train_step
+from august_jax.training.step import ParameterLayout, TrainState, compiled_step, initial_state, train_step
 
 __all__ = [
     "Checkpoints",
+    "ParameterLayout",
     "TrainState",
     "compiled_step",
     "initial_state",

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import logging
 import os
-import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -19,11 +18,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import nnx
+from jaxtyping import Float
 
 from august_jax.config import Config
-from august_jax.files import replacing
+from august_jax.files import read_npz, replacing
 from august_jax.models import create
-from august_jax.training.step import Networks, TrainState
+from august_jax.training.step import ParameterLayout, TrainState
 
 _KEEP = 2
 
@@ -82,7 +82,6 @@ class Checkpoints:
         state = jax.tree.unflatten(jax.tree.structure(plain), [arrays[name] for name in wanted])
         return state._replace(key=jax.random.wrap_key_data(state.key, impl=jax.random.key_impl(like.key)))
 
-
     @contextmanager
     def _readable(self) -> Iterator[None]:
         """Whatever goes wrong within is told as a damaged checkpoint; orbax raises many kinds of errors for one."""
@@ -121,45 +120,53 @@ def load_weights(path: str | os.PathLike, config: Config) -> tuple[nnx.GraphDef,
     """Networks of ``config`` with the parameters that :func:`save_weights` wrote: (graphdef, state), float32.
 
     Raises:
-        ValueError: the file is missing or damaged, or belongs to another configuration (the first leaf is named).
+        FileNotFoundError: no such file.
+        ValueError: the file is damaged, holds numbers that are not finite, or belongs to another configuration (the
+            first array is named).
     """
+    arrays = read_weights(path)
     graphdef, state = create(config, 0)
     wanted = flatten(state)
-    arrays = read_weights(path)
     compare({name: leaf.shape for name, leaf in arrays.items()}, wanted, path)
     leaves = [jnp.asarray(arrays[name], leaf.dtype) for name, leaf in wanted.items()]
     return graphdef, jax.tree.unflatten(jax.tree.structure(state), leaves)
 
 
-def read_weights(path: str | os.PathLike) -> dict[str, np.ndarray]:
-    """The arrays that :func:`save_weights` wrote, by dotted name; ValueError where the file is missing or damaged."""
-    try:
-        with Path(path).open("rb") as file, zipfile.ZipFile(file) as members:
-            arrays = {}
-            for name in members.namelist():
-                with members.open(name) as member:
-                    arrays[name.removesuffix(".npy")] = np.lib.format.read_array(member, allow_pickle=False)
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        raise ValueError(f"path: {path} is not a readable .npz file of weights ({error})") from error
+def read_weights(path: str | os.PathLike) -> dict[str, Float[np.ndarray, "..."]]:
+    """The arrays that :func:`save_weights` wrote, by dotted name, as float32.
+
+    Raises:
+        FileNotFoundError: no such file.
+        ValueError: the file is damaged (a ``files.DamagedFile``), or an array holds what is no finite number.
+    """
+    arrays = read_npz(path)
+    for name, leaf in arrays.items():
+        if leaf.dtype.kind != "f":
+            raise ValueError(f"{path}: {name} holds {leaf.dtype} and no real numbers; it is no file of weights")
+        with np.errstate(over="ignore"):
+            arrays[name] = leaf.astype(np.float32)
+        if not np.isfinite(arrays[name]).all():
+            raise ValueError(f"{path}: {name} holds NaN or infinity; take the weights of another save or run")
     return arrays
 
 
-def warm_start(networks: Networks, state: TrainState, path: str | os.PathLike) -> tuple[TrainState, list[str]]:
+def warm_start(layout: ParameterLayout, state: TrainState, path: str | os.PathLike) -> tuple[TrainState, list[str]]:
     """``state`` with the parameters of another run's weights, wherever name and shape agree.
 
     Returns:
         The state, and the names of the parameters that kept their own start.
 
     Raises:
-        ValueError: the file cannot be read, or nothing in it fits.
+        FileNotFoundError: no such file.
+        ValueError: the file is damaged, holds numbers that are not finite, or nothing in it fits.
     """
-    stored, own = read_weights(path), flatten(networks.arrays(np.asarray(state.params)))
+    stored, own = read_weights(path), flatten(layout.arrays(np.asarray(state.params)))
     kept = [name for name, leaf in own.items() if name not in stored or stored[name].shape != leaf.shape]
     if len(kept) == len(own):
         raise ValueError(f"path: no parameter in {path} fits these networks; give a run of a like model.* "
                          "configuration")
     params = jnp.asarray(np.concatenate([
-        np.ravel(leaf if name in kept else stored[name]).astype(np.float32) for name, leaf in own.items()]))
+        np.ravel(leaf if name in kept else stored[name]) for name, leaf in own.items()]))
     return state._replace(params=params, ema=jnp.copy(params)), kept
 
 

@@ -11,7 +11,7 @@ of kernels instead of several for each of a hundred arrays, and the step compile
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -20,9 +20,15 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 from flax import nnx
+from jaxtyping import Float, Int, Key
 
+from august_jax import streams
+from august_jax.arrays import Array
 from august_jax.config import Config, TrainConfig
 from august_jax.models import August, create
+
+Loss = Callable[[Array, Array, Any], tuple[Array, dict[str, Array]]]
+"""(parameters (n,), key, batch) -> the loss () and its terms by name; hashable, so that it may be static under jit."""
 
 _CLIP = 1.0
 
@@ -38,29 +44,42 @@ class TrainState(NamedTuple):
         key: the run's random key; step n draws from ``fold_in(key, n)`` and the key itself never changes.
     """
 
-    params: jax.Array
-    ema: jax.Array
+    params: Float[Array, " parameters"]
+    ema: Float[Array, " parameters"]
     opt_state: Any
-    step: jax.Array
-    key: jax.Array
+    step: Int[Array, ""]
+    key: Key[Array, ""]
 
 
 @dataclass(frozen=True)
-class Networks:
-    """What turns a vector of parameters into networks; hashable, so that it may be static under jit."""
+class ParameterLayout:
+    """Where in a vector of parameters each of the networks' arrays lies; hashable, so that it may be static under jit.
+
+    Attributes:
+        graphdef: of the networks, as ``models.create`` splits them.
+        structure: of their state as a pytree.
+        shapes: of its leaves, in order.
+    """
 
     graphdef: nnx.GraphDef
     structure: jax.tree_util.PyTreeDef
     shapes: tuple[tuple[int, ...], ...]
 
-    def arrays(self, params: jax.Array | np.ndarray) -> nnx.State:
+    def arrays(self, params: Float[Array, " parameters"]) -> nnx.State:
         """The networks' arrays, as ``models.create`` orders them; NumPy stays NumPy, so that nothing compiles."""
         split = np.split if isinstance(params, np.ndarray) else jnp.split
         pieces = split(params, np.cumsum([math.prod(shape) for shape in self.shapes])[:-1])
         return jax.tree.unflatten(self.structure, [a.reshape(shape) for a, shape in zip(pieces, self.shapes)])
 
-    def __call__(self, params: jax.Array) -> August:
+    def networks(self, params: Float[Array, " parameters"]) -> August:
+        """The networks of these parameters."""
         return nnx.merge(self.graphdef, self.arrays(params))
+
+    def loss(self, params: Float[Array, " parameters"], key: Key[Array, ""],
+             batch: Mapping[str, Array]) -> tuple[Float[Array, ""], dict[str, Float[Array, ""]]]:
+        """:meth:`August.loss` of a batch, a :data:`Loss`."""
+        return self.networks(params).loss(key, batch["channel"], batch["predicted"], batch["snr_db"], batch["cloud"],
+                                          batch.get("reference"))
 
 
 def optimizer(train: TrainConfig) -> optax.GradientTransformation:
@@ -69,38 +88,34 @@ def optimizer(train: TrainConfig) -> optax.GradientTransformation:
     return optax.chain(optax.clip_by_global_norm(_CLIP), optax.adam(rate))
 
 
-def initial_state(config: Config) -> tuple[Networks, TrainState]:
+def initial_state(config: Config) -> tuple[ParameterLayout, TrainState]:
     """The networks' form, and the state before the first step, both from ``config.train.seed``."""
     graphdef, arrays = create(config, config.train.seed)
     leaves, structure = jax.tree.flatten(arrays)
     params = jnp.asarray(np.concatenate([np.ravel(leaf) for leaf in leaves]))
-    key = jax.random.fold_in(jax.random.key(config.train.seed), 1)
+    key = streams.key(config.train.seed, "train.step")
     state = TrainState(params, jnp.copy(params), optimizer(config.train).init(params), jnp.zeros((), jnp.int32), key)
-    return Networks(graphdef, structure, tuple(leaf.shape for leaf in leaves)), state
+    return ParameterLayout(graphdef, structure, tuple(leaf.shape for leaf in leaves)), state
 
 
-def train_step(networks: Networks, train: TrainConfig, state: TrainState,
-               batch: Mapping[str, jax.Array]) -> tuple[TrainState, dict[str, jax.Array]]:
-    """The state after one step on ``batch`` (see ``August.loss``), and what to report: each a float32 ().
+def train_step(loss: Loss, train: TrainConfig, state: TrainState,
+               batch: Any) -> tuple[TrainState, dict[str, Float[Array, ""]]]:
+    """The state after one step on a batch of what ``loss`` takes, and the numbers of the step, each a float32 ().
 
-    Reported are ``loss``, its unweighted terms, and ``gradient``, the global norm before clipping.
+    The numbers are ``loss``, its unweighted terms, and ``gradient``, the global norm before clipping.
     """
     # On a CPU each shape drawn by the default generator costs 1-4 s of compilation, by "rbg" 0.3 s.
     seed = jax.random.key_data(jax.random.fold_in(state.key, state.step))
     key = jax.random.wrap_key_data(jnp.concatenate([seed, seed]), impl="rbg")
-
-    def loss(params):
-        return networks(params).loss(key, batch, train)
-
-    (value, terms), gradient = jax.value_and_grad(loss, has_aux=True)(state.params)
+    (value, terms), gradient = jax.value_and_grad(loss, has_aux=True)(state.params, key, batch)
     updates, opt_state = optimizer(train).update(gradient, state.opt_state, state.params)
     params = optax.apply_updates(state.params, updates)
     done = state.step + 1
     decay = jnp.minimum(train.ema, (1.0 + done) / (10.0 + done))
     ema = decay * state.ema + (1.0 - decay) * params
-    report = {"loss": value, **terms, "gradient": jnp.linalg.norm(gradient)}
-    return TrainState(params, ema, opt_state, done, state.key), report
+    numbers = {"loss": value, **terms, "gradient": jnp.linalg.norm(gradient)}
+    return TrainState(params, ema, opt_state, done, state.key), numbers
 
 
 compiled_step = jax.jit(train_step, static_argnums=(0, 1), donate_argnums=2)
-""":func:`train_step`, compiled once for equal networks and settings; the state that goes in is donated."""
+""":func:`train_step`, compiled once for equal losses and settings; the state that goes in is donated."""

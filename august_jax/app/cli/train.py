@@ -41,7 +41,7 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
     out = folder(args, f"august_runs/{config.preset}", configured=True)
     note(f"{len(dataset.rows('train'))} of {dataset.count} samples are for training, {config.train.steps} steps")
     state = train(config, batches, out, validate=validator(dataset, config), draw=training_curves,
-                  weights=weights, printer=note)
+                  weights=weights, progress=note)
     metrics = out / "metrics.jsonl"
     logged = metrics.read_text().splitlines() if metrics.exists() else []  # gone where nothing was left to train
     last = json.loads(logged[-1]) if logged else {}
