@@ -125,6 +125,9 @@ class DataConfig:
     """Train : validation : test, by flight."""
     solver: str = "mom"
     """``mom``, ``krylov``, ``local_field_born`` or ``born``."""
+    observed: bool = True
+    """Keep with every sample what the base station made of it (prediction, SNR, H_est); needed where
+    ``train.reobserve`` is false."""
 
 
 @dataclass(frozen=True)
@@ -234,7 +237,7 @@ def preset(name: str) -> Config:
         preset="laptop",
         flight=FlightConfig(box_m=((3.0, 7.0), (4.0, 8.0), (2.0, 5.0)), style="dynamic", slots=5),
         region=RegionConfig(scale_m=0.75),
-        data=DataConfig(count=200_000),
+        data=DataConfig(count=200_000, observed=False),
         model=ModelConfig(
             encoder="roi", latent=64, flow_layers=6, flow_features=64, fourier=4,
             denoiser=(64, 128, 256, 256, 128, 64), time_embedding="log_snr", frame="craft",
@@ -248,7 +251,7 @@ def preset(name: str) -> Config:
         array=ArrayConfig(nx=4, nz=2),
         target=TargetConfig(airframes=("quad_x", "hexa"), cell_m=0.03, max_cells=200, points=64),
         flight=replace(laptop.flight, slots=8),
-        data=DataConfig(count=64, shard_rows=32),
+        data=DataConfig(count=64, shard_rows=32, observed=False),
         model=replace(laptop.model, channel_features=32, encoder_features=32, encoder_layers=2, latent=8,
                       flow_layers=2, flow_features=16, denoiser=(16, 32, 16), steps=20),
         train=replace(laptop.train, steps=20, batch=16, points=16, log_every=5, save_every=10),

@@ -26,7 +26,7 @@ import numpy as np
 
 from august_jax import metrics
 from august_jax.config import Config
-from august_jax.data import Dataset, Target, as_stored, generate, observed_anew, prepare_targets
+from august_jax.data import Dataset, Sample, Target, batch_of, generate, observed_anew, prepare_targets
 from august_jax.models import reconstruct
 from august_jax.physics import PlanarArray, fisher_information, mean_position_error, tilt_bound
 from august_jax.physics.information import Prior
@@ -89,22 +89,23 @@ def evaluate(networks: Networks, config: Config, *, seed: int,
     again_key, shape_key, seen_key, cloud_key, normal_key = jax.random.split(root, 5)
     again = _resampled(again_key, samples, airframes, config.target.points)
     mean = mean_shape(shape_key, airframes, config.target.points)
-    truth = {"position": samples["position"], "normal": samples["rotation"][:, :, 2],
-             "cloud": samples["points"] + samples["position"][:, None]}
+    truth = {"position": samples.position, "normal": samples.rotation[:, :, 2],
+             "cloud": samples.points + samples.position[:, None]}
     size = config.target.half_wheelbase_m
     progress("bounding what any estimator could do")
-    predicted = observed_anew(seen_key, samples, config, config.evaluate.snr_db[0])["predicted"]  # the same at any SNR
+    predicted = observed_anew(seen_key, samples, config, config.evaluate.snr_db[0]).predicted  # the same at any SNR
     information = unit_information(samples, np.asarray(predicted), targets, config)
     rows, others = [], None
     for snr_db in config.evaluate.snr_db:
         batch = observed_anew(seen_key, samples, config, snr_db)
         clouds, normals, triples = [], [], []
         for start in range(0, count, _PIECE):
-            piece = {name: batch[name][start:start + _PIECE] for name in ("channel", "predicted", "snr_db")}
-            cloud = reconstruct(networks.graphdef, networks.state, jax.random.fold_in(cloud_key, start), **piece,
+            piece = batch.at(slice(start, start + _PIECE))
+            cloud = reconstruct(networks.graphdef, networks.state, jax.random.fold_in(cloud_key, start), piece.heard,
+                                piece.predicted, piece.snr_db,
                                 count=config.target.points, sampler=config.evaluate.sampler,
                                 steps=config.evaluate.sampler_steps)
-            clouds.append(from_cloud(cloud, piece["predicted"], config.region).points)
+            clouds.append(from_cloud(cloud, piece.predicted, config.region).points)
             both = _normals(jax.random.fold_in(normal_key, start), clouds[-1])
             normals.append(both[0])
             triples.append(both[1])
@@ -112,12 +113,12 @@ def evaluate(networks: Networks, config: Config, *, seed: int,
                   "triples": jnp.concatenate(triples)}
         answer["position"] = jnp.mean(answer["cloud"], axis=1)
         if others is None:
-            others = baselines(batch["predicted"], mean, again, normal_key)
+            others = baselines(batch.predicted, mean, again, normal_key)
         scored = {"august": answer, **others}
         bounds: dict[str, float | None] = {"bound_m": None, "bound_mde": None}
         if information is not None:
             known, prior = 10.0 ** (snr_db / 10.0) * information, _prior(config)
-            tilts = tilt_bound(known, samples["rotation"][_bounded(samples), :, 2], prior)
+            tilts = tilt_bound(known, samples.rotation[_bounded(samples), :, 2], prior)
             bounds = {"bound_m": float(np.mean(mean_position_error(known, prior))),
                       "bound_mde": float(np.mean(0.5 * tilts**2))}  # 1 - cos of small angles
         rows += [{"scheme": scheme, "snr_db": snr_db, **score(each, truth, size), **_split(each, truth),
@@ -126,7 +127,7 @@ def evaluate(networks: Networks, config: Config, *, seed: int,
     return rows
 
 
-def unit_information(samples: Mapping[str, np.ndarray], predicted: np.ndarray, targets: Sequence[Target],
+def unit_information(samples: Sample, predicted: np.ndarray, targets: Sequence[Target],
                      config: Config) -> np.ndarray | None:
     """Fisher information (n, 10, 10) of the first samples, airframe by airframe, at an SNR of 1, pilots of the RoI
     about ``predicted`` (B, 3) [m]; it grows in proportion to the SNR. None for the estimator ``dft``, which sends
@@ -138,20 +139,20 @@ def unit_information(samples: Mapping[str, np.ndarray], predicted: np.ndarray, t
     repeats = (config.signal.symbols or array.count) / array.count  # fisher_information counts one symbol an antenna
     found = []
     for kind, target in enumerate(targets):
-        mine = np.flatnonzero(samples["airframe"][:_BOUNDED] == kind)
+        mine = np.flatnonzero(samples.airframe[:_BOUNDED] == kind)
         if len(mine):
             books = [roi_codebook(array.nx, array.nz, direction_angles(jnp.asarray(place)), widths,
                                   mirror=config.signal.mirror_beams) for place in predicted[mine]]
             lit = np.stack([np.asarray(book @ book.conj().T) for book in books])
             found.append(fisher_information(
-                target.body, array, samples["rotation"][mine], samples["position"][mine],
-                samples["permittivity"][mine], samples["conductivity"][mine], repeats, illumination=lit))
+                target.body, array, samples.rotation[mine], samples.position[mine],
+                samples.permittivity[mine], samples.conductivity[mine], repeats, illumination=lit))
     return np.concatenate(found)
 
 
-def _bounded(samples: Mapping[str, np.ndarray]) -> np.ndarray:
+def _bounded(samples: Sample) -> np.ndarray:
     """The samples that :func:`unit_information` takes, in its order."""
-    return np.argsort(samples["airframe"][:_BOUNDED], kind="stable")
+    return np.argsort(samples.airframe[:_BOUNDED], kind="stable")
 
 
 def _prior(config: Config) -> Prior:
@@ -312,31 +313,26 @@ def validator(dataset: Dataset, config: Config, count: int = 256) -> Callable[..
         return None
     samples = dataset.read(places[np.linspace(0, len(places) - 1, min(count, len(places))).astype(int)])
     key = jax.random.key(_FRESH)
-    if config.train.reobserve:
-        stored = {name: jnp.asarray(samples[name])
-                  for name in ("channel", "position", "permittivity", "conductivity", "points")}
-        batch = observed_anew(key, stored, config)
-    else:
-        batch = as_stored(samples, config)
-    position = jnp.asarray(samples["position"])
+    batch = batch_of(key, samples, config)
+    position = jnp.asarray(samples.position)
 
     def validate(graphdef, state, step) -> dict[str, float]:
-        cloud = reconstruct(graphdef, state, key, batch["channel"], batch["predicted"], batch["snr_db"],
+        cloud = reconstruct(graphdef, state, key, batch.heard, batch.predicted, batch.snr_db,
                             count=min(128, config.target.points), sampler=config.evaluate.sampler,
                             steps=config.evaluate.sampler_steps)
-        estimate = position_estimate(cloud, batch["predicted"], config.region)
+        estimate = position_estimate(cloud, batch.predicted, config.region)
         return {"validation_mpe_m": float(metrics.mpe_m(estimate, position)),
-                "validation_prior_m": float(metrics.mpe_m(batch["predicted"], position))}
+                "validation_prior_m": float(metrics.mpe_m(batch.predicted, position))}
 
     return validate
 
 
-def _resampled(key: jax.Array, samples: Mapping[str, np.ndarray], airframes: Sequence[Airframe],
+def _resampled(key: jax.Array, samples: Sample, airframes: Sequence[Airframe],
                count: int) -> jax.Array:
     """The true clouds in the world (B, count, 3) [m], drawn a second time."""
     bodies = jnp.stack([airframe.sample_surface(jax.random.fold_in(key, row), count)
-                        for row, airframe in enumerate(airframes[index] for index in samples["airframe"])])
-    return transform(bodies, samples["rotation"], samples["position"])
+                        for row, airframe in enumerate(airframes[index] for index in samples.airframe)])
+    return transform(bodies, samples.rotation, samples.position)
 
 
 @jax.jit

@@ -17,17 +17,14 @@ import numpy as np
 
 from august_jax import config as configuration
 from august_jax.config import Config
-from august_jax.data import lattice_of, nearest_distance
+from august_jax.data import channels_along
 from august_jax.models import Networks, reconstruct
-from august_jax.physics import PlanarArray, body_channel, contrast, factor_body, sensing_channel
 from august_jax.scene import Airframe, fly, from_cloud, resolve_airframe, rotation_from_euler
-from august_jax.signal import observe, observe_roi
+from august_jax.signal import observe_for
 from august_jax.tracking import kalman_predict, kalman_start, kalman_update, plane_normal, rotor_points
 
 SHIPPED = Path(__file__).parent / "weights" / "laptop"
 """Weights that come with the package."""
-
-_DENSE_POSES = 40
 
 SIZE_RATIO = (0.8, 1.25)
 """A drone's half-wheelbase may be this many times that of the weights."""
@@ -206,42 +203,6 @@ def pose(
     return Scenario(airframe, np.zeros(1), np.asarray([position], np.float64), rotation[None], *material)
 
 
-def channels_along(airframe: Airframe, config: Config, rotations, positions, permittivity: float,
-                   conductivity: float) -> jax.Array:
-    """True channels of one craft in T poses (T, F, N_b, N_b) complex64, by ``config.data.solver``.
-
-    Args:
-        airframe: the craft. For ``mom`` and more than 40 poses its body is factored first, half a minute for 1000
-            cells, and kept in a cache; for fewer poses the dense solve of each is quicker, about a second.
-        config: array, lattice, solver, and the box that bounds how near the craft comes.
-        rotations, positions: body to world (T, 3, 3), surface centroids (T, 3) [m].
-        permittivity, conductivity: the material, [1] and [S/m].
-    """
-    tones = config.array.frequencies_hz
-    array = PlanarArray(config.array.nx, config.array.nz, config.array.frequency_hz)
-    cells, _ = lattice_of(airframe, config.target)
-    chi = contrast(permittivity, conductivity, jnp.asarray(tones, jnp.float32)).astype(jnp.complex64)
-    if config.data.solver == "mom" and len(positions) > _DENSE_POSES:
-        body = factor_body(cells, tones, nearest_m=nearest_distance(config))
-
-        def channel(rotation, position):
-            return body_channel(body, array, rotation, position, chi)
-
-        many = jax.vmap(channel)
-    else:
-        single = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), cells)
-
-        def channel(rotation, position):
-            return sensing_channel(array, single.moved(rotation, position), chi[:, None], solver=config.data.solver,
-                                   frequencies_hz=tones)
-
-        def many(rotations, positions):
-            # One after the other: a dense solve holds matrices of hundreds of megabytes.
-            return jax.lax.map(lambda pose: channel(*pose), (rotations, positions))
-
-    return jax.jit(many)(jnp.asarray(rotations, jnp.float32), jnp.asarray(positions, jnp.float32))
-
-
 def sense(networks: Networks, config: Config, scenario: Scenario, *, seed: int, snr_db: float,
           progress: Callable[[str], None] = lambda line: None) -> Track:
     """Simulate the echo of every slot and reconstruct the craft from it.
@@ -266,7 +227,7 @@ def sense(networks: Networks, config: Config, scenario: Scenario, *, seed: int, 
                          f"{config.signal.snr_db[0]:g} to {config.signal.snr_db[1]:g} dB")
     start_key, label_key, again_key, slot_key = jax.random.split(jax.random.key(seed), 4)
     progress("computing the full-wave channels")
-    channels = channels_along(scenario.airframe, config, scenario.rotations, scenario.positions, scenario.permittivity,
+    channels = channels_along(config, scenario.airframe, scenario.rotations, scenario.positions, scenario.permittivity,
                               scenario.conductivity)
     progress("estimating the channels and reconstructing the clouds")
     threshold = config.region.threshold_m
@@ -302,15 +263,13 @@ _DETECTED_SLOTS = 3
 def _follow(graphdef, state, key, channels, detected, config: Config, snr_db):
     """Slot after slot: echo, estimate, cloud, position, next prediction."""
     evaluate, flight = config.evaluate, config.flight
-    look = observe_roi if config.model.encoder == "roi" else observe
 
     def slot(belief, now):
         number, channel, detection = now
         predicted = jnp.where(number < _DETECTED_SLOTS, detection, belief.mean[0])
         echo_key, cloud_key, normal_key = jax.random.split(jax.random.fold_in(key, number), 3)
-        seen = look(echo_key, channel, predicted, array=config.array, signal=config.signal, region=config.region,
-                    snr_db=snr_db)
-        cloud = reconstruct(graphdef, state, cloud_key, seen[0][None], predicted[None], seen.snr_estimate_db[None],
+        seen = observe_for(config, echo_key, channel, predicted, snr_db=snr_db)
+        cloud = reconstruct(graphdef, state, cloud_key, jax.tree.map(lambda leaf: leaf[None], seen.heard), predicted[None], seen.snr_estimate_db[None],
                             count=config.target.points, sampler=evaluate.sampler, steps=evaluate.sampler_steps)[0]
         reading = from_cloud(cloud, predicted, config.region)
         normal = rotor_plane_normal(normal_key, reading.points)

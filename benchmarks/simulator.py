@@ -41,7 +41,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from august_jax.config import preset
-from august_jax.data.generate import lattices_of, nearest_distance
+from august_jax.data.simulator import lattices_of, nearest_distance
 from august_jax.physics import (
     Cells, PlanarArray, body_channel, contrast, dipole_fields, factor_bodies, factor_body, interaction_matrix,
     sensing_channel,

@@ -34,7 +34,7 @@ def compute(small: bool, report=print) -> dict[str, np.ndarray]:
                          signal=replace(paper.signal, power_dbm=(POWER_DBM, POWER_DBM)))
         targets = prepare_targets(config)
         # the first slot of each flight; airframes take turns by flight
-        heard = generate(config, np.arange(flights * len(names)) * config.flight.slots, targets)["snr_db"]
+        heard = generate(config, np.arange(flights * len(names)) * config.flight.slots, targets).observed.snr_db
         snr.append(heard.reshape(flights, len(names)).T)
         volumes.append([np.sum(target.cells.fill * target.cells.volumes) for target in targets])
         for name, values, volume in zip(names, snr[-1], volumes[-1]):

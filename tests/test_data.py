@@ -11,8 +11,9 @@ import pytest
 from august_jax import data
 from august_jax.config import override, preset
 from august_jax.physics import PlanarArray, contrast, sensing_channel
+from august_jax.signal import Coefficients
 
-CONFIG = override(preset("smoke"), ["data.count=48", "data.shard_rows=20"])
+CONFIG = override(preset("smoke"), ["data.count=48", "data.shard_rows=20", "data.observed=true"])
 
 
 @pytest.fixture(scope="module")
@@ -30,20 +31,60 @@ def folder(tmp_path_factory):
 def test_a_sample_depends_on_its_number_alone(folder, targets):
     stored = data.Dataset(folder).read(np.array([41, 3]))
     alone = data.generate(CONFIG, [3], targets)
-    for name, value in alone.items():
-        np.testing.assert_allclose(stored[name][1], value[0], rtol=1e-4, atol=1e-5 * np.abs(value).max(), err_msg=name)
+    for name, value in alone.columns().items():
+        np.testing.assert_allclose(stored.columns()[name][1], value[0], rtol=1e-4, atol=1e-5 * np.abs(value).max(),
+                                   err_msg=name)
+
+
+def test_a_sample_is_the_same_under_any_setting_of_jax(targets):
+    """Samples of one folder may be made by several processes: what JAX is set to must not tell them apart."""
+    plain = data.generate(CONFIG, [3], targets)
+    for setting in (jax.enable_x64(True), jax.threefry_partitionable(False), jax.default_prng_impl("rbg")):
+        with setting:
+            other = data.generate(CONFIG, [3], targets)
+        for name, value in plain.columns().items():
+            np.testing.assert_array_equal(other.columns()[name], value, err_msg=name)
+
+
+def test_an_evaluation_s_samples_are_never_a_data_set_s(targets):
+    stored, fresh = data.generate(CONFIG, [3], targets), data.generate(CONFIG, [3], targets, domain="evaluate")
+    for name in ("position", "rotation", "permittivity", "conductivity", "points", "true_channel"):
+        assert not np.any(getattr(stored, name) == getattr(fresh, name)), name
+
+
+def test_what_nobody_will_read_is_not_stored(targets, folder, tmp_path):
+    config = override(CONFIG, ["data.observed=false", "data.count=20"])
+    assert data.simulate(config, tmp_path)["written"] == 20
+    kept, lean = data.Dataset(folder).read(np.arange(20)), data.Dataset(tmp_path).read(np.arange(20))
+    assert lean.observed is None
+    for name, value in lean.columns().items():
+        np.testing.assert_allclose(value, kept.columns()[name], rtol=1e-5, atol=1e-5 * np.abs(value).max())
+    for each, count in ((config, 20), (CONFIG, 48)):
+        place = tmp_path if each is config else folder
+        stored = sum(path.stat().st_size for path in place.rglob("*.npy"))
+        assert abs(stored - data.bytes_of(each)) < 200 * len(list(place.rglob("*.npy")))  # headers
+    with pytest.raises(ValueError, match="data.observed"):
+        data.TrainingBatches(data.Dataset(tmp_path), override(CONFIG, ["train.batch=8", "train.reobserve=false"]))
+
+
+def test_room_is_checked_before_the_work(tmp_path, monkeypatch):
+    said = []
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: shutil._ntuple_diskusage(10, 9, 1000))
+    with pytest.raises(data.DataError, match="data.count: 48 samples take .* has 0.0 MB free"):
+        data.simulate(CONFIG, tmp_path / "new", progress=said.append)
+    assert "48 samples take" in said[0] and not (tmp_path / "new").exists()
 
 
 @pytest.mark.filterwarnings("ignore:cells.volumes")
 def test_the_channel_is_that_of_the_cells_in_that_pose(targets):
-    sample = {name: value[0] for name, value in data.generate(CONFIG, [9], targets).items()}
-    cells = targets[sample["airframe"]].cells
-    chi = contrast(float(sample["permittivity"]), float(sample["conductivity"]), CONFIG.array.frequency_hz)
+    sample = data.generate(CONFIG, [9], targets).each(lambda value: value[0])
+    cells = targets[sample.airframe].cells
+    chi = contrast(float(sample.permittivity), float(sample.conductivity), CONFIG.array.frequency_hz)
     with jax.enable_x64(True):
-        moved = cells.moved(sample["rotation"].astype(float), sample["position"].astype(float))
-        array = PlanarArray(CONFIG.array.nx, CONFIG.array.nz, CONFIG.array.frequency_hz)
+        moved = cells.moved(sample.rotation.astype(float), sample.position.astype(float))
+        array = PlanarArray.from_config(CONFIG.array)
         exact = np.asarray(sensing_channel(array, moved, complex(chi)))
-    channel = np.asarray(data.unpack(sample["channel"]))[0]
+    channel = np.asarray(data.unpack(sample.true_channel))[0]
     # Rotations come in float32; the response itself is good to 3e-5.
     assert np.linalg.norm(channel - exact) < 2e-4 * np.linalg.norm(exact)
 
@@ -55,15 +96,15 @@ def test_the_paper_s_echo_lies_in_its_link_budget():
     targets = data.prepare_targets(paper)
     cells = targets[0].cells
     assert 50e-6 < np.sum(cells.fill * cells.volumes) < 100e-6
-    heard = data.generate(paper, np.arange(64) * paper.flight.slots, targets)["snr_db"]
+    heard = data.generate(paper, np.arange(64) * paper.flight.slots, targets).observed.snr_db
     assert 10.0 < np.median(heard) < 17.0
 
 
 def test_labels_lie_on_the_airframe_and_are_centred_on_the_position(folder):
     samples = data.Dataset(folder).read(np.arange(48))
-    assert np.abs(samples["points"].mean(axis=1)).max() < 0.1  # 64 points of a craft 0.2 m about its centroid
-    assert np.linalg.norm(samples["points"], axis=-1).max() < 2.0 * CONFIG.target.half_wheelbase_m
-    miss = np.abs(samples["predicted"] - samples["position"])
+    assert np.abs(samples.points.mean(axis=1)).max() < 0.1  # 64 points of a craft 0.2 m about its centroid
+    assert np.linalg.norm(samples.points, axis=-1).max() < 2.0 * CONFIG.target.half_wheelbase_m
+    miss = np.abs(samples.observed.predicted - samples.position)
     assert 0.3 < miss.max() <= CONFIG.region.threshold_m * (1 + 1e-5)
 
 
@@ -76,22 +117,22 @@ def test_shards_survive_a_kill_and_parts_make_the_whole(folder, tmp_path):
     assert data.simulate(CONFIG, tmp_path)["written"] == 28
     assert data.simulate(CONFIG, tmp_path)["written"] == 0
     places = np.arange(48)
-    whole, parts = (data.Dataset(each).read(places) for each in (folder, tmp_path))
+    whole, parts = (data.Dataset(each).read(places).columns() for each in (folder, tmp_path))
     for name in whole:
         np.testing.assert_array_equal(whole[name], parts[name])
     (tmp_path / "shard-00001" / "snr_db.npy").write_bytes(b"\x93NUMPY broken")
-    with pytest.raises(data.DataError, match="shard-00001: meta.json or an array is damaged.*--verify"):
+    with pytest.raises(data.DataError, match="shard-00001: snr_db.npy is damaged.*verify=True"):
         data.Dataset(tmp_path)
     np.save(tmp_path / "shard-00001" / "snr_db.npy", np.zeros(5, np.float32))
-    with pytest.raises(data.DataError, match="shard-00001: snr_db is damaged.*--verify"):
+    with pytest.raises(data.DataError, match="shard-00001: snr_db.npy is damaged.*verify=True"):
         data.Dataset(tmp_path)
     np.save(tmp_path / "shard-00001" / "snr_db.npy", np.zeros(20, np.float32))  # only its sum tells
     assert data.simulate(CONFIG, tmp_path)["written"] == 0
     assert data.simulate(CONFIG, tmp_path, verify=True)["written"] == 20
-    np.testing.assert_array_equal(data.Dataset(tmp_path).read(places)["snr_db"], whole["snr_db"])
+    np.testing.assert_array_equal(data.Dataset(tmp_path).read(places).observed.snr_db, whole["snr_db"])
 
 
-@pytest.mark.parametrize("text", ["[]", "{\"format\": 3}", "{", "\xff"])
+@pytest.mark.parametrize("text", ["[]", "{\"format\": 4}", "{", "\xff"])
 def test_a_damaged_manifest_is_named_and_made_again(folder, tmp_path, text):
     shutil.copytree(folder, tmp_path / "copy")
     (tmp_path / "copy" / "manifest.json").write_bytes(text.encode("latin-1"))
@@ -116,7 +157,7 @@ def test_other_data_are_not_overwritten(folder):
         data.simulate(override(CONFIG, ["data.count=32"]), folder)
     with pytest.raises(ValueError, match="1 <= i <= n"):
         data.simulate(CONFIG, folder, part=(3, 2))
-    with pytest.raises(data.DataError, match="august simulate"):
+    with pytest.raises(data.DataError, match="holds no manifest.json"):
         data.Dataset(folder / "nowhere")
 
 
@@ -134,13 +175,16 @@ def test_batches_follow_from_the_step(folder):
     config = replace(CONFIG, train=replace(CONFIG.train, batch=8))
     batches = data.TrainingBatches(dataset, config)
     first, again, other = batches(3), batches(3), batches(4)
-    assert {name: value.shape for name, value in first.items()} == {
-        "channel": (8, 1, 7, 7), "predicted": (8, 3), "snr_db": (8,), "cloud": (8, 64, 5)}
-    np.testing.assert_array_equal(first["channel"], again["channel"])
-    assert not np.allclose(first["predicted"], other["predicted"])
-    stored = data.as_stored(dataset.read(np.arange(4)), config)
-    estimate = dataset.read(np.arange(4))["estimate"]
-    np.testing.assert_array_equal(data.pack(stored["channel"]), estimate)
+    assert isinstance(first.heard, Coefficients) and first.heard.values.shape == (8, 1, 7, 7)
+    assert (first.predicted.shape, first.snr_db.shape, first.cloud.shape) == ((8, 3), (8,), (8, 64, 5))
+    np.testing.assert_array_equal(first.heard.values, again.heard.values)
+    np.testing.assert_array_equal(first.heard.centre, first.predicted)
+    assert not np.allclose(first.predicted, other.predicted)
+    stored = dataset.read(np.arange(4))
+    batch = data.as_observed(stored, config)
+    assert batch.heard is batch.estimated_channel and batch.heard.shape == (4, 1, 8, 8)
+    np.testing.assert_array_equal(data.pack(batch.heard), stored.observed.estimated_channel)
+    np.testing.assert_array_equal(batch.predicted, stored.observed.predicted)
     with pytest.raises(data.DataError, match="train.batch"):
         data.TrainingBatches(dataset, replace(CONFIG, train=replace(CONFIG.train, batch=1000)))
 
@@ -156,3 +200,28 @@ def test_a_manifest_whose_list_is_old_does_not_hide_a_shard(folder, tmp_path):
 def test_the_manifest_is_json_that_says_what_is_there(folder):
     manifest = json.loads((folder / "manifest.json").read_text())
     assert manifest["rows"] == 48 and manifest["shards"]["shard-00002"] == [40, 48]
+
+
+@pytest.mark.parametrize("places, words", [
+    (np.array([True, False]), "bool"), (np.array([0.5]), "float64"), (np.array([48]), "out of range"),
+    (np.array([-49]), "out of range"), (np.array([[1]]), "shape"),
+])
+def test_places_that_are_no_rows_are_refused(folder, places, words):
+    with pytest.raises(ValueError, match=f"places: .*{words}"):
+        data.Dataset(folder).read(places)
+
+
+@pytest.mark.parametrize("meta", ["[1]", '{"rows": 3, "digest": "x", "arrays": {}}', '{"rows": [0, 20]}',
+                                  '{"rows": ["a", 2], "digest": "x", "arrays": {"flight": 3}}'])
+def test_an_edited_shard_counts_as_missing(folder, tmp_path, meta):
+    shutil.copytree(folder, tmp_path / "copy")
+    (tmp_path / "copy" / "shard-00000" / "meta.json").write_text(meta)
+    with pytest.raises(data.DataError, match="28 of 48"):
+        data.Dataset(tmp_path / "copy")
+
+
+def test_triangles_alone_unpack():
+    whole = np.arange(9.0).reshape(3, 3) + np.arange(9.0).reshape(3, 3).T
+    np.testing.assert_array_equal(data.unpack(data.pack(whole)), whole)
+    with pytest.raises(ValueError, match="7 numbers"):
+        data.unpack(np.zeros(7))

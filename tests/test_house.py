@@ -22,7 +22,7 @@ ALLOWED = {
     "signal": BASE | {"physics"},
     "scene": BASE | {"physics.cells"},
     "data": BASE | {"physics", "scene", "signal"},
-    "models": BASE | {"signal.roi"},
+    "models": BASE | {"signal.roi", "data.fields"},
     "metrics": BASE,
     "training": BASE | {"models", "data"},
     "tracking": BASE | {"models", "signal"},

@@ -7,6 +7,7 @@ import pytest
 
 from august_jax.physics.array import PlanarArray
 from august_jax.signal import roi
+from august_jax.signal.roi import Coefficients, Subspace
 
 BOXES = {"paper": ((10, 30), (10, 30), (10, 20)), "near": ((3, 7), (4, 8), (2, 5))}
 
@@ -51,42 +52,38 @@ def test_phases_take_out_the_wave_of_the_prediction():
     point = np.array([12.0, 20.0, 11.0])
     wave = np.exp(1j * array.wavenumber * np.linalg.norm(point - array.positions, axis=-1))
     channel = jnp.asarray(np.outer(wave, wave), jnp.complex64)
-    coefficients = roi.project(channel, jnp.asarray(point, jnp.float32), array.positions, array.wavenumber,
-                               roi.legendre_basis(16, 4))
-    energy = np.abs(coefficients) ** 2
+    coefficients = roi.project(channel[None], jnp.asarray(point, jnp.float32), Subspace(array, (3e9,)))
+    energy = np.abs(coefficients.values[0]) ** 2
     np.testing.assert_allclose(energy[0, 0], 64.0**2, rtol=1e-4)
     assert energy.sum() - energy[0, 0] < 1e-4 * energy[0, 0]  # (float32 phase error)^2 is far below
 
 
 def test_lift_undoes_project_and_keeps_symmetry():
-    array = PlanarArray(8, 4, 3e9)
-    basis = roi.legendre_basis(8, 4, 10)
-    point = jnp.array([5.0, 6.0, 3.0])
-    draw = jax.random.normal(jax.random.key(0), (10, 10), jnp.complex64)
-    coefficients = draw + draw.T
-    place = (point, array.positions, array.wavenumber, basis)
-    channel = roi.lift(coefficients, *place)
-    np.testing.assert_allclose(channel, channel.T, atol=1e-5)
-    np.testing.assert_allclose(roi.project(channel, *place), coefficients, atol=1e-5)
+    subspace = Subspace(PlanarArray(8, 4, 3e9), (2.9e9, 3e9), 10)
+    draw = jax.random.normal(jax.random.key(0), (2, 10, 10), jnp.complex64)
+    coefficients = Coefficients(draw + jnp.swapaxes(draw, 1, 2), jnp.array([5.0, 6.0, 3.0]))
+    channel = roi.lift(coefficients, subspace)
+    np.testing.assert_allclose(channel, jnp.swapaxes(channel, 1, 2), atol=1e-5)
+    again = roi.project(channel, coefficients.centre, subspace)
+    np.testing.assert_allclose(again.values, coefficients.values, atol=1e-5)
+    np.testing.assert_array_equal(again.centre, coefficients.centre)
     # An orthogonal projection keeps the energy.
-    np.testing.assert_allclose(jnp.sum(jnp.abs(channel) ** 2), jnp.sum(jnp.abs(coefficients) ** 2), rtol=1e-5)
+    np.testing.assert_allclose(jnp.sum(jnp.abs(channel) ** 2), jnp.sum(jnp.abs(coefficients.values) ** 2), rtol=1e-5)
 
 
 @pytest.mark.parametrize(("shape", "tones"), [((16, 4), (3e9,)), ((16, 4), (2.95e9, 3.05e9)), ((16, 1), (3e9,))])
 def test_the_echo_s_bearing_is_found_from_its_phases(shape, tones):
     """A point up to 0.5 m off along each axis: its direction is found, its range left alone."""
     array = PlanarArray(*shape, 3e9)
-    basis, rng = roi.legendre_basis(*shape), np.random.default_rng(0)
+    subspace, rng = Subspace(array, tones), np.random.default_rng(0)
     wavenumbers = 2 * np.pi * np.asarray(tones) / 299_792_458.0
-    find = jax.jit(lambda a, q: roi.towards(a, q, shape, 0.5 * array.wavelength, wavenumbers.astype("f"), basis))
+    find = jax.jit(lambda channel, place: roi.towards(roi.project(channel, place, subspace), subspace))
     for _ in range(20):
         predicted = np.array([rng.uniform(*span) for span in BOXES["near"]])
         point = predicted + rng.uniform(-0.5, 0.5, 3)
         waves = [np.exp(1j * k * np.linalg.norm(point - array.positions, axis=-1)) for k in wavenumbers]
-        coefficients = jnp.stack([
-            roi.project(jnp.asarray(np.outer(g, g), jnp.complex64), jnp.asarray(predicted, jnp.float32),
-                        array.positions, k, basis) for g, k in zip(waves, wavenumbers)])
-        centre = np.asarray(find(coefficients, jnp.asarray(predicted, jnp.float32)), float)
+        channel = jnp.asarray([np.outer(wave, wave) for wave in waves], jnp.complex64)
+        centre = np.asarray(find(channel, jnp.asarray(predicted, jnp.float32)), float)
         np.testing.assert_allclose(np.linalg.norm(centre), np.linalg.norm(predicted), rtol=1e-5)
         seen = slice(0, 3, 2) if shape[1] > 1 else slice(0, 1)  # a row of antennas has no elevation
         found, true = (each[seen] / np.linalg.norm(each) for each in (centre, point))
@@ -95,32 +92,33 @@ def test_the_echo_s_bearing_is_found_from_its_phases(shape, tones):
 
 
 def test_a_bearing_survives_noise_and_horizon():
-    shape, basis = (16, 4), roi.legendre_basis(16, 4)
+    subspace = Subspace(PlanarArray(16, 4, 3e9), (3e9,))
     noise = 30 * jax.random.normal(jax.random.key(0), (50, 1, 15, 15), jnp.complex64)
-    centre = jax.vmap(lambda a: roi.towards(a, jnp.array([8.0, 0.5, 0.5]), shape, 0.05, np.array([62.8]), basis))(noise)
+    place = jnp.array([8.0, 0.5, 0.5])
+    centre = jax.vmap(lambda values: roi.towards(Coefficients(values, place), subspace))(noise)
     assert np.isfinite(centre).all()
     np.testing.assert_allclose(np.linalg.norm(centre, axis=-1), np.sqrt(64.5), rtol=1e-4)
 
 
 def test_recentred_coefficients_are_those_about_the_new_centre():
     array = PlanarArray(16, 4, 3e9)
-    basis, point = roi.legendre_basis(16, 4), np.array([5.3, 5.8, 3.2])
+    subspace, point = Subspace(array, (3e9,)), np.array([5.3, 5.8, 3.2])
     wave = np.exp(1j * array.wavenumber * np.linalg.norm(point - array.positions, axis=-1))
-    channel = jnp.asarray(np.outer(wave, wave), jnp.complex64)
-    rest = (array.positions, array.wavenumber, basis)
+    channel = jnp.asarray(np.outer(wave, wave), jnp.complex64)[None]
     old, new = jnp.array([5.0, 6.0, 3.0]), jnp.array([5.25, 5.75, 3.1])
-    moved = roi.recentre(roi.project(channel, old, *rest), old, new, *rest)
-    direct = roi.project(channel, new, *rest)
-    assert jnp.linalg.norm(moved - direct) < 3e-3 * jnp.linalg.norm(direct)
+    moved = roi.recentre(roi.project(channel, old, subspace), new, subspace)
+    direct = roi.project(channel, new, subspace)
+    np.testing.assert_array_equal(moved.centre, new)
+    assert jnp.linalg.norm(moved.values - direct.values) < 3e-3 * jnp.linalg.norm(direct.values)
 
 
-def test_path_differences_keep_their_digits_far_away():
+def test_phases_keep_their_digits_far_away():
     """The plain difference of two float32 distances of 3 km is wrong by millimetres, a tenth of a radian."""
     array = PlanarArray(16, 4, 3e9)
     point = np.array([2000.0, 2000.0, 1000.0])
-    exact = np.linalg.norm(point - array.positions, axis=-1) - np.linalg.norm(point)
-    got = roi.path_differences(jnp.asarray(array.positions, jnp.float32), jnp.asarray(point, jnp.float32))
-    np.testing.assert_allclose(got, exact, atol=1e-6)
+    exact = np.exp(-1j * array.wavenumber * (np.linalg.norm(point - array.positions, axis=-1) - np.linalg.norm(point)))
+    got = roi.spherical_phases(array.positions, jnp.asarray(point, jnp.float32), array.wavenumber)
+    np.testing.assert_allclose(got, exact, atol=1e-4)  # 1e-6 m times k
 
 
 @pytest.mark.parametrize(

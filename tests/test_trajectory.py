@@ -9,7 +9,7 @@ import pytest
 from august_jax.config import FlightConfig, preset
 from august_jax.constants import GRAVITY
 from august_jax.scene.pose import tilt
-from august_jax.scene.trajectory import Flight, draw_flight, fly, fly_many
+from august_jax.scene.trajectory import Flight, draw_track, fly, fly_many
 
 LAPTOP = replace(preset("laptop").flight, slots=50)
 STYLES = ("smooth", "dynamic", "jump")
@@ -111,7 +111,7 @@ def test_a_flight_depends_on_its_key_alone(flights):
     # batches of other sizes may round differently; limits and lags damp it
     np.testing.assert_allclose(alone.positions, flights["dynamic"].positions[7], atol=1e-3)
     assert np.abs(flights["dynamic"].positions[7] - flights["dynamic"].positions[8]).max() > 0.1
-    inside, stayed = jax.eval_shape(lambda key: draw_flight(key, style), keys[7])
+    inside, stayed = jax.eval_shape(lambda key: draw_track(key, style), keys[7])
     assert inside.rotations.shape == alone.rotations.shape and stayed.shape == ()
 
 

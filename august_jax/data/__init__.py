@@ -1,12 +1,17 @@
-"""Samples, from a key to a batch."""
+"""Samples, from a row's number to a batch."""
 
-from august_jax.data.batches import SPLITS, Dataset, TrainingBatches, as_stored, observed_anew
-from august_jax.data.generate import (
-    Target, generate, lattice_of, nearest_distance, pack, prepare_targets, split_of, unpack,
+from august_jax.data.dataset import SPLITS, Dataset, TrainingBatches
+from august_jax.data.fields import Batch, Observed, Sample, pack, unpack
+from august_jax.data.generate import generate, split_of
+from august_jax.data.observe import as_observed, batch_of, observed_anew
+from august_jax.data.shards import DataError, bytes_of, read_manifest, simulate
+from august_jax.data.simulator import (
+    Target, channels_along, contrast_of, lattice_of, lattices_of, nearest_distance, prepare_targets, true_channel,
 )
-from august_jax.data.shards import DataError, read_manifest, simulate
 
 __all__ = [
-    "SPLITS", "DataError", "Dataset", "Target", "TrainingBatches", "as_stored", "generate", "lattice_of",
-    "nearest_distance", "observed_anew", "pack", "prepare_targets", "read_manifest", "simulate", "split_of", "unpack",
+    "SPLITS", "Batch", "DataError", "Dataset", "Observed", "Sample", "Target", "TrainingBatches", "as_observed",
+    "batch_of", "bytes_of", "channels_along", "contrast_of", "generate", "lattice_of", "lattices_of",
+    "nearest_distance", "observed_anew", "pack", "prepare_targets", "read_manifest", "simulate", "split_of",
+    "true_channel", "unpack",
 ]

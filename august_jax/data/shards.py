@@ -3,11 +3,11 @@
     DIR/manifest.json            what the data are: rows, shards, configuration and its digest
     DIR/config.yaml              the configuration
     DIR/shard-00003/meta.json    row range, sha256 and shape of each array, configuration digest
-    DIR/shard-00003/channel.npy  one array a field of :func:`august_jax.data.generate.generate`
+    DIR/shard-00003/true_channel.npy    one array a column of :class:`august_jax.data.fields.Sample`
 
 A shard is written aside, flushed to the disk and renamed: it is whole or absent, so that a killed run continues
 with the first shard that is missing. What is there is told by the shards themselves; the manifest's list of them is
-what its last writer saw. Rows are written as memory-mapped arrays are read: in place.
+what its last writer saw.
 """
 
 from __future__ import annotations
@@ -17,32 +17,36 @@ import json
 import os
 import shutil
 import time
-from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from august_jax import streams
 from august_jax.config import Config, data_digest, to_yaml
 from august_jax.config import digest as digest_of
-from august_jax.data.generate import Sample, generate, prepare_targets
-from august_jax.files import write_text
+from august_jax.data.generate import generate
+from august_jax.data.simulator import prepare_targets
+from august_jax.files import rename, write_text
+from august_jax.progress import Progress, silent
 
 _PIECE = 2000  # rows generated between two progress lines
-_FORMAT = 3  # of the fields and their meaning; in the digest, so that formats never mix
+_FORMAT = 4  # of the columns, their meaning and their streams; in the digest, so that formats never mix
 
 
 class DataError(ValueError):
     """Data on disk are missing, damaged, or of another configuration."""
 
 
+@streams.pin
 def simulate(
     config: Config,
     folder: str | Path,
     *,
     part: tuple[int, int] = (1, 1),
     verify: bool = False,
-    report: Callable[[str], None] = lambda line: None,
-) -> dict:
+    progress: Progress = silent,
+) -> dict[str, Any]:
     """Make the data of ``config`` in ``folder``, or what of them is still missing.
 
     Args:
@@ -50,31 +54,32 @@ def simulate(
         folder: created if absent.
         part: (i, n) writes the i-th of n interleaved sets of shards, i from 1.
         verify: compare the sha256 of every array that is there, and make shards that are damaged again.
-        report: called with lines of progress.
+        progress: takes lines of progress.
 
     Returns:
         The manifest, with ``written`` (rows of this call), ``seconds`` and ``samples_per_s`` added.
 
     Raises:
-        DataError: the folder holds data of another configuration, or more than are asked for.
+        DataError: the folder holds data of another configuration, or more than are asked for, or its disk has no room
+            for them.
         ValueError: ``part`` is not 1 <= i <= n.
     """
     index, parts = part
     if not 1 <= index <= parts:
-        raise ValueError(f"shard: got {index}/{parts}; give i/n with 1 <= i <= n, e.g. 2/4")
+        raise ValueError(f"part: got {index}/{parts}; give i/n with 1 <= i <= n, e.g. 2/4")
     folder = Path(folder)
     digest = identity(config)
     if (folder / "manifest.json").exists():
         found = read_manifest(folder)
         if found["shards"] and found["digest"] != digest:
             raise DataError(
-                f"{folder}: holds data of another configuration, shard size, mesh file or version (digest "
-                f"{found['digest']}, wanted {digest}); choose another --out, or remove the folder"
+                f"folder: {folder} holds data of another configuration, shard size, mesh file or version (digest "
+                f"{found['digest']}, wanted {digest}); choose another folder, or remove it"
             )
         most = max((high for _, high in found["shards"].values()), default=0)
         if most > config.data.count:
             raise DataError(f"data.count: {config.data.count} is less than the {most} samples that {folder} holds; ask "
-                            "for at least as many, or choose another --out")
+                            "for at least as many, or choose another folder")
     count, size = config.data.count, config.data.shard_rows
     spans = {number: (start, min(start + size, count)) for number, start in enumerate(range(0, count, size))}
     missing = [
@@ -83,7 +88,8 @@ def simulate(
     ]
     began = time.perf_counter()
     written, total = 0, sum(spans[number][1] - spans[number][0] for number in missing)
-    targets = prepare_targets(config, report) if missing else []
+    _check_room(folder, config, total, progress)
+    targets = prepare_targets(config, progress) if missing else []
     folder.mkdir(parents=True, exist_ok=True)
     _write_manifest(folder, config, digest)
     for number in missing:
@@ -95,13 +101,42 @@ def simulate(
             written += len(rows)
             elapsed = time.perf_counter() - began
             left = elapsed / written * (total - written)
-            report(f"{written}/{total} samples  {written / elapsed:.1f} samples/s  {left:.0f} s left")
-        fields = {name: np.concatenate([piece[name] for piece in pieces]) for name in pieces[0]}
-        _write_shard(folder, number, fields, (low, high), digest)
+            progress(f"{written}/{total} samples  {written / elapsed:.1f} samples/s  {left:.0f} s left")
+        columns = [piece.columns() for piece in pieces]
+        whole = {name: np.concatenate([each[name] for each in columns]) for name in columns[0]}
+        _write_shard(folder, number, whole, (low, high), digest)
         _write_manifest(folder, config, digest)
     manifest = read_manifest(folder)
     seconds = time.perf_counter() - began
     return manifest | {"written": written, "seconds": seconds, "samples_per_s": written / max(seconds, 1e-9)}
+
+
+def bytes_of(config: Config, rows: int | None = None) -> int:
+    """Bytes that so many samples take on the disk; None takes ``data.count``."""
+    array, points = config.array, config.target.points
+    triangles = 8 * len(array.frequencies_hz) * (array.count * (array.count + 1) // 2)
+    row = 4 * (3 + 9 + 2 + 3 + 3 * points) + triangles
+    if config.data.observed:
+        row += 4 * (3 + 3) + triangles
+    return row * (config.data.count if rows is None else rows)
+
+
+def _check_room(folder: Path, config: Config, rows: int, progress: Progress) -> None:
+    """Say what the missing rows will take, and refuse before the work where the disk has no room for them."""
+    if not rows:
+        return
+    wanted = bytes_of(config, rows)
+    place = next(path for path in (folder, *folder.absolute().parents) if path.exists())
+    free = shutil.disk_usage(place).free
+    progress(f"{rows} samples take {_size(wanted)} in {folder}; {_size(free)} are free there")
+    if wanted > free:
+        raise DataError(f"data.count: {rows} samples take {_size(wanted)}, but {place} has {_size(free)} free; make "
+                        "room, choose another folder or fewer samples")
+
+
+def _size(count: int) -> str:
+    """Bytes as a person reads them."""
+    return f"{count / 1e9:.1f} GB" if count >= 1e8 else f"{count / 1e6:.1f} MB"
 
 
 def identity(config: Config) -> str:
@@ -115,47 +150,51 @@ def shard_name(number: int) -> str:
     return f"shard-{number:05d}"
 
 
-def read_manifest(folder: str | Path) -> dict:
+def read_manifest(folder: str | Path) -> dict[str, Any]:
     """The manifest of a data folder, its shards and rows counted anew; :class:`DataError` where there is none."""
     path = Path(folder) / "manifest.json"
     try:
         manifest = json.loads(path.read_text())
     except FileNotFoundError:
-        raise DataError(f"{folder}: holds no manifest.json; make data with `august simulate --out {folder}` and the "
-                        "preset that you want") from None
+        raise DataError(f"folder: {folder} holds no manifest.json; make data there with `august simulate`") from None
     except ValueError:
         manifest = None
     if not isinstance(manifest, dict) or not {"format", "digest", "wanted"} <= set(manifest):
         raise DataError(f"{path}: is damaged; remove it and run `august simulate` again, which keeps the shards")
     if manifest["format"] != _FORMAT:
-        raise DataError(f"{folder}: holds data of another version (format {manifest['format']}, wanted {_FORMAT}); "
+        raise DataError(f"folder: {folder} holds data of another version (format {manifest['format']}, wanted {_FORMAT}); "
                         "make them again with `august simulate`, in another folder")
     return manifest | _present(Path(folder), manifest["digest"])
 
 
-def _meta(shard: Path) -> dict | None:
-    """What a shard says of itself; None where it is missing or damaged."""
+def read_meta(shard: Path) -> dict[str, Any] | None:
+    """What a shard says of itself: ``rows``, ``digest`` and ``arrays``; None where that is missing or damaged."""
     try:
-        meta = json.loads((shard / "meta.json").read_text())
+        meta = json.loads((shard / "meta.json").read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return None
-    return meta if isinstance(meta, dict) and {"rows", "digest", "arrays"} <= set(meta) else None
+    if not (isinstance(meta, dict) and isinstance(meta.get("digest"), str) and isinstance(meta.get("arrays"), dict)):
+        return None
+    rows = meta.get("rows")
+    ordered = isinstance(rows, list) and len(rows) == 2 and all(type(end) is int for end in rows) and rows[0] < rows[1]
+    whole = all(isinstance(each, dict) and isinstance(each.get("sha256"), str) for each in meta["arrays"].values())
+    return meta if ordered and whole else None
 
 
 def _complete(shard: Path, span: tuple[int, int], digest: str, verify: bool) -> bool:
-    meta = _meta(shard)
+    meta = read_meta(shard)
     if not meta or meta["digest"] != digest or meta["rows"] != list(span):
         return False
-    paths = {shard / f"{field}.npy": about["sha256"] for field, about in meta["arrays"].items()}
+    paths = {shard / f"{name}.npy": array["sha256"] for name, array in meta["arrays"].items()}
     return all(path.exists() and (not verify or _sha256(path) == wanted) for path, wanted in paths.items())
 
 
-def _write_shard(folder: Path, number: int, fields: Sample, span: tuple[int, int], digest: str) -> None:
+def _write_shard(folder: Path, number: int, columns: dict[str, np.ndarray], span: tuple[int, int], digest: str) -> None:
     final, aside = folder / shard_name(number), folder / f".{shard_name(number)}.part"
     shutil.rmtree(aside, ignore_errors=True)
     aside.mkdir()
     arrays = {}
-    for name, value in fields.items():
+    for name, value in columns.items():
         path = aside / f"{name}.npy"
         with path.open("wb") as file:
             np.save(file, value)
@@ -164,7 +203,7 @@ def _write_shard(folder: Path, number: int, fields: Sample, span: tuple[int, int
         arrays[name] = {"shape": list(value.shape), "dtype": str(value.dtype), "sha256": _sha256(path)}
     write_text(aside / "meta.json", json.dumps({"rows": list(span), "digest": digest, "arrays": arrays}, indent=1))
     shutil.rmtree(final, ignore_errors=True)
-    os.replace(aside, final)
+    rename(aside, final)
 
 
 def _write_manifest(folder: Path, config: Config, digest: str) -> None:
@@ -174,11 +213,11 @@ def _write_manifest(folder: Path, config: Config, digest: str) -> None:
     write_text(folder / "manifest.json", json.dumps(manifest, indent=1))
 
 
-def _present(folder: Path, digest: str) -> dict:
+def _present(folder: Path, digest: str) -> dict[str, Any]:
     """``shards``, name -> row range, of the shards that are there, and ``rows``, the sum of them."""
     shards = {}
     for shard in sorted(folder.glob("shard-*")):
-        meta = _meta(shard)
+        meta = read_meta(shard)
         if meta and meta["digest"] == digest:
             shards[shard.name] = meta["rows"]
     return {"rows": sum(high - low for low, high in shards.values()), "shards": shards}

@@ -93,7 +93,7 @@ class August(nnx.Module):
             ValueError: the channel is not of the configuration's array.
         """
         see = self.reference.see if self.config.model.scheme == "refchannel" else ChannelInput(self.config)
-        return see(jnp.asarray(channel), jnp.asarray(predicted), jnp.asarray(snr_db))
+        return see(channel, jnp.asarray(predicted), jnp.asarray(snr_db))
 
     def posterior(self, seen: Seen) -> tuple[Float[Array, "batch latent"], Float[Array, "batch latent"]]:
         """Mean and log-variance of q(z | H_est), each (B, d_z).

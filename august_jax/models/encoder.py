@@ -32,6 +32,7 @@ from august_jax.constants import SPEED_OF_LIGHT
 from august_jax.models.embedding import position_features, snr_features
 from august_jax.models.layers import MLP, ResidualMLP, dense
 from august_jax.signal import roi
+from august_jax.signal.roi import Coefficients, Subspace
 
 _GAINS = (1.0, 10.0, 100.0)
 
@@ -120,56 +121,43 @@ class ChannelInput:
             return 2 * tones * self.antennas**2 + 1
         return tones * (len(_GAINS) * self.orders * (self.orders + 1) + 3) + 3
 
-    def __call__(self, channel: jax.Array, predicted: jax.Array, snr_db: jax.Array) -> Seen:
-        """What is seen of channels (B, F, N_b, N_b) or, for ``roi``, also of coefficients (B, F, K, K) about q_pre,
-        under predictions (B, 3) [m] and SNRs (B,) [dB].
+    def __call__(self, heard: Array | Coefficients, predicted: Float[Array, "batch 3"],
+                 snr_db: Float[Array, " batch"]) -> Seen:
+        """What is seen of channels (B, F, N_b, N_b) or, for ``roi``, also of coefficients (B, F, K, K), under
+        predictions (B, 3) [m] and SNRs (B,) [dB].
 
         Its centre is q_pre for ``paper``, the echo's bearing at the range of q_pre for ``roi``.
         """
         if self.config.model.encoder == "paper":
-            self._check(channel, (self.antennas,))
-            return Seen(paper_features(channel, predicted), snr_db, predicted, jnp.zeros_like(predicted))
-        array, wavenumbers = self.config.array, self._wavenumbers()
-        coefficients = self.coefficients(channel, predicted)
-        basis, positions = jnp.asarray(roi.legendre_basis(array.nx, array.nz)), jnp.asarray(_positions(array))
-        spacing = 0.5 * SPEED_OF_LIGHT / array.frequency_hz
-        centre = jax.vmap(lambda each, place: roi.towards(
-            each, place, (array.nx, array.nz), spacing, wavenumbers, basis))(coefficients, predicted)
-        tones = jax.vmap(roi.recentre, in_axes=(0, None, None, None, 0, None))
-        samples = jax.vmap(tones, in_axes=(0, 0, 0, None, None, None))
-        moved = samples(coefficients, predicted, centre, positions, wavenumbers, basis)
+            self._check(heard)
+            return Seen(paper_features(heard, predicted), snr_db, predicted, jnp.zeros_like(predicted))
+        subspace = Subspace.from_config(self.config.array)
+        coefficients = self.coefficients(heard, predicted)
+        centre = jax.vmap(lambda each: roi.towards(each, subspace))(coefficients)
+        moved = jax.vmap(lambda each, place: roi.recentre(each, place, subspace))(coefficients, centre)
         offset = (centre - predicted) / self.config.region.scale_m
-        features = jnp.concatenate([offset, roi_features(moved, centre, wavenumbers)], axis=-1)
+        features = jnp.concatenate([offset, roi_features(moved.values, centre, subspace.wavenumbers)], axis=-1)
         return Seen(features, snr_db, centre, offset)
 
-    def coefficients(self, channel: jax.Array, predicted: jax.Array) -> jax.Array:
-        """A (B, F, K, K): projected about ``predicted`` (B, 3) [m], unless ``channel`` holds it already."""
-        self._check(channel, (self.antennas, self.orders))
-        if channel.shape[-1] == self.orders:
-            return channel
-        array = self.config.array
-        basis = jnp.asarray(roi.legendre_basis(array.nx, array.nz))
-        tones = jax.vmap(roi.project, in_axes=(0, None, None, 0, None))
-        samples = jax.vmap(tones, in_axes=(0, 0, None, None, None))
-        return samples(channel, predicted, jnp.asarray(_positions(array)), self._wavenumbers(), basis)
+    def coefficients(self, heard: Array | Coefficients, centre: Float[Array, "batch 3"]) -> Coefficients:
+        """Coefficients: as they are, or those of a channel (B, F, N_b, N_b) about the centres (B, 3) [m]."""
+        self._check(heard)
+        if isinstance(heard, Coefficients):
+            return heard
+        subspace = Subspace.from_config(self.config.array)
+        return jax.vmap(lambda each, place: roi.project(each, place, subspace))(heard, centre)
 
-    def _wavenumbers(self) -> np.ndarray:
-        return np.asarray(self.config.array.frequencies_hz, np.float32) * np.float32(2.0 * np.pi / SPEED_OF_LIGHT)
-
-    def _check(self, channel: jax.Array, sizes: tuple[int, ...]) -> None:
-        wanted = [(len(self.config.array.frequencies_hz), size, size) for size in sizes]
-        if channel.ndim != 4 or channel.shape[1:] not in wanted:
-            raise ValueError(
-                f"channel: got shape {channel.shape}; encoder {self.config.model.encoder!r} of this array wants "
-                f"(batch, tones, n, n) = {' or '.join(f'(batch, {f}, {n}, {n})' for f, n, _ in wanted)}"
-            )
-
-
-def _positions(array: ArrayConfig) -> np.ndarray:
-    """Elements (N_b, 3) [m] of the half-wavelength array in the x-O-z plane, n = b + a nz, centred."""
-    places = np.stack(np.meshgrid(np.arange(array.nx), 0.0, np.arange(array.nz), indexing="ij"), axis=-1)
-    centred = places - np.array([(array.nx - 1) / 2, 0.0, (array.nz - 1) / 2])
-    return (centred * (SPEED_OF_LIGHT / array.frequency_hz / 2)).reshape(-1, 3).astype(np.float32)
+    def _check(self, heard: Array | Coefficients) -> None:
+        encoder, tones = self.config.model.encoder, len(self.config.array.frequencies_hz)
+        if isinstance(heard, Coefficients):
+            if encoder == "paper":
+                raise ValueError("heard: got coefficients; the encoder 'paper' takes the estimated channel")
+            name, shape, size = "coefficients", heard.values.shape, self.orders
+        else:
+            name, shape, size = "channel", heard.shape, self.antennas
+        if len(shape) != 4 or shape[1:] != (tones, size, size):
+            raise ValueError(f"heard: got {name} of shape {shape}; this array's are (batch, tones, n, n) = "
+                             f"(batch, {tones}, {size}, {size})")
 
 
 class Encoder(nnx.Module):

@@ -19,6 +19,7 @@ from august_jax.config import Config
 from august_jax.models.embedding import position_features
 from august_jax.models.encoder import ChannelInput, Seen
 from august_jax.models.layers import ResidualMLP, dense
+from august_jax.signal.roi import Coefficients
 
 
 def reference_centre(config: Config) -> np.ndarray:
@@ -40,18 +41,19 @@ class RefChannel(nnx.Module):
         self.head = dense(model.encoder_features, self.size, rngs=rngs)
         self.channel_map = dense(self.size, model.channel_features, rngs=rngs)
 
-    def vector(self, channel: jax.Array, centre: jax.Array) -> jax.Array:
-        """Re and Im of the triangles (B, size) of channels (B, F, N, N), of norm one, about ``centre`` (B, 3) [m]."""
+    def vector(self, heard: Array | Coefficients, centre: Float[Array, "batch 3"]) -> Float[Array, "batch features"]:
+        """Re and Im of the triangles (B, size) of channels, or of their coefficients, of norm one, about ``centre``
+        (B, 3) [m]."""
         if self.config.model.encoder == "roi":
-            channel = self.channel_input.coefficients(channel, centre)
-        rows, columns = np.triu_indices(channel.shape[-1])
-        flat = channel[..., rows, columns].reshape(channel.shape[0], -1)
+            heard = self.channel_input.coefficients(heard, centre).values
+        rows, columns = np.triu_indices(heard.shape[-1])
+        flat = heard[..., rows, columns].reshape(heard.shape[0], -1)
         flat = flat / jnp.maximum(jnp.linalg.norm(flat, axis=-1, keepdims=True), 1e-30)
         return jnp.concatenate([flat.real, flat.imag], axis=-1)
 
-    def see(self, channel: jax.Array, predicted: jax.Array, snr_db: jax.Array) -> Seen:
-        """What is seen of channels (B, F, N, N) under predictions (B, 3) [m]: :meth:`vector` about q_pre itself."""
-        return Seen(self.vector(channel, predicted), snr_db, predicted, jnp.zeros_like(predicted))
+    def see(self, heard: Array | Coefficients, predicted: Float[Array, "batch 3"], snr_db: Float[Array, " batch"]) -> Seen:
+        """What is seen of channels under predictions (B, 3) [m]: :meth:`vector` about q_pre itself."""
+        return Seen(self.vector(heard, predicted), snr_db, predicted, jnp.zeros_like(predicted))
 
     def __call__(self, seen: Seen) -> Float[Array, "batch features"]:
         """The estimated reference channel (B, size), as :meth:`vector` writes it, from what :meth:`see` saw."""
@@ -59,7 +61,7 @@ class RefChannel(nnx.Module):
         place = position_features(seen.centre, model.fourier, self.config.flight, raw_metres=model.raw_metres)
         return self.head(self.trunk(jnp.concatenate([seen.features, place], axis=-1)))
 
-    def loss(self, estimate: jax.Array, reference: jax.Array) -> jax.Array:
+    def loss(self, estimate: Float[Array, "batch features"], reference: Array | Coefficients) -> Float[Array, ""]:
         """Mean squared error () of ``estimate`` (B, size) against reference channels (B, F, N, N), relative to them."""
-        centre = jnp.broadcast_to(jnp.asarray(reference_centre(self.config), jnp.float32), (reference.shape[0], 3))
+        centre = jnp.broadcast_to(jnp.asarray(reference_centre(self.config), jnp.float32), estimate.shape[:1] + (3,))
         return jnp.mean(jnp.sum((estimate - self.vector(reference, centre)) ** 2, axis=-1))

@@ -85,7 +85,7 @@ _TURN = 0.3
 
 
 def fly(key: jax.Array, flight: FlightConfig) -> Flight:
-    """A random flight, a function of ``key`` alone; call it outside of ``jax.jit`` (inside: :func:`draw_flight`).
+    """A random flight, a function of ``key`` alone; call it outside of ``jax.jit`` (inside: :func:`draw_track`).
 
     Raises:
         ValueError: the box is so small that none of 16 tracks stayed inside.
@@ -105,7 +105,7 @@ def fly_many(keys: jax.Array, flight: FlightConfig) -> Flight:
     return flights
 
 
-def draw_flight(key: jax.Array, flight: FlightConfig) -> tuple[Flight, jax.Array]:
+def draw_track(key: jax.Array, flight: FlightConfig) -> tuple[Flight, jax.Array]:
     """The first of up to 16 tracks that stays in the box, and whether it does (); pure, ``flight`` static."""
     walls = jnp.asarray(flight.box_m)
 
@@ -125,7 +125,7 @@ def draw_flight(key: jax.Array, flight: FlightConfig) -> tuple[Flight, jax.Array
 
 @partial(jax.jit, static_argnums=1)
 def _draw_flights(keys: jax.Array, flight: FlightConfig) -> tuple[Flight, jax.Array]:
-    return jax.vmap(lambda key: draw_flight(key, flight))(keys)
+    return jax.vmap(lambda key: draw_track(key, flight))(keys)
 
 
 def _check(flight: FlightConfig) -> None:

@@ -8,40 +8,47 @@ from august_jax.signal.beams import (
     roi_codebook,
     watt_to_dbm,
 )
-from august_jax.signal.estimation import (
-    ESTIMATORS,
-    Estimate,
-    Observation,
-    Region,
-    RegionObservation,
-    echo,
-    estimate,
-    estimate_snr,
-    observe,
-    observe_roi,
+from august_jax.signal.estimators import ESTIMATORS, ChannelEstimate, Estimator, Region, estimate_channel
+from august_jax.signal.noise import estimate_snr
+from august_jax.signal.roi import (
+    Coefficients,
+    Subspace,
+    legendre_basis,
+    legendre_degrees,
+    lift,
+    project,
+    recentre,
+    spherical_phases,
+    towards,
 )
-from august_jax.signal.roi import legendre_basis, legendre_degrees, lift, project, spherical_phases
+from august_jax.signal.station import Observation, RegionObservation, echo, observe, observe_for, observe_region
 
 __all__ = [
     "ESTIMATORS",
-    "Estimate",
+    "ChannelEstimate",
+    "Coefficients",
+    "Estimator",
     "Observation",
     "Region",
     "RegionObservation",
+    "Subspace",
     "dbm_to_watt",
     "direction_angles",
     "echo",
-    "estimate",
+    "estimate_channel",
     "estimate_snr",
     "legendre_basis",
     "legendre_degrees",
     "lift",
     "observe",
-    "observe_roi",
+    "observe_for",
+    "observe_region",
     "pilot_symbols",
     "pilots",
     "project",
+    "recentre",
     "roi_codebook",
     "spherical_phases",
+    "towards",
     "watt_to_dbm",
 ]

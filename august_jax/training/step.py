@@ -25,6 +25,7 @@ from jaxtyping import Float, Int, Key
 from august_jax import streams
 from august_jax.arrays import Array
 from august_jax.config import Config, TrainConfig
+from august_jax.data.fields import Batch
 from august_jax.models import August, create
 
 Loss = Callable[[Array, Array, Any], tuple[Array, dict[str, Array]]]
@@ -76,10 +77,10 @@ class ParameterLayout:
         return nnx.merge(self.graphdef, self.arrays(params))
 
     def loss(self, params: Float[Array, " parameters"], key: Key[Array, ""],
-             batch: Mapping[str, Array]) -> tuple[Float[Array, ""], dict[str, Float[Array, ""]]]:
+             batch: Batch) -> tuple[Float[Array, ""], dict[str, Float[Array, ""]]]:
         """:meth:`August.loss` of a batch, a :data:`Loss`."""
-        return self.networks(params).loss(key, batch["channel"], batch["predicted"], batch["snr_db"], batch["cloud"],
-                                          batch.get("reference"))
+        return self.networks(params).loss(key, batch.heard, batch.predicted, batch.snr_db, batch.cloud,
+                                          batch.reference_channel)
 
 
 def optimizer(train: TrainConfig) -> optax.GradientTransformation:

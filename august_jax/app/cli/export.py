@@ -69,8 +69,8 @@ def _source(source: Path, index: int) -> tuple[int, dict[str, Any], dict[str, tu
 
         dataset = Dataset(source)
         index = _place(index, dataset.count, source)
-        record = {name: value[0] for name, value in dataset.read(np.array([index])).items()}
-        for name in ("channel", "estimate"):
+        record = {name: value[0] for name, value in dataset.read(np.array([index])).columns().items()}
+        for name in {"true_channel", "estimated_channel"} & set(record):
             record[name] = unpack(record[name])
         cloud = record["points"] + record["position"]
         return index, record, {"true": (cloud, record["permittivity"], record["conductivity"])}

@@ -21,7 +21,7 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
     out = folder(args, f"august_data/{config.preset}", configured=True)
     from august_jax.data import simulate
 
-    manifest = simulate(config, out, part=args.shard, verify=args.verify, report=note)
+    manifest = simulate(config, out, part=args.shard, verify=args.verify, progress=note)
     done = manifest["rows"] >= manifest["wanted"]
     say(args, f"{manifest['written']} samples written in {manifest['seconds']:.0f} s "
               f"({manifest['samples_per_s']:.1f} samples/s); {out}/ now holds {manifest['rows']} of "

@@ -1,0 +1,121 @@
+"""Stored samples: rows by memory map, split by flight, and the batches that training takes of them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal, get_args
+
+import jax
+import numpy as np
+from jaxtyping import Int
+
+from august_jax import streams
+from august_jax.config import Config, read
+from august_jax.data.fields import Batch, Observed, Sample
+from august_jax.data.generate import split_of
+from august_jax.data.observe import as_observed, batch_of
+from august_jax.data.shards import DataError, read_manifest, read_meta
+
+Split = Literal["train", "validation", "test"]
+SPLITS: tuple[Split, ...] = get_args(Split)
+
+
+class Dataset:
+    """Samples of a data folder, memory-mapped.
+
+    Attributes:
+        config: the configuration that made them.
+        count: number of rows.
+        flights: flight number of each row (count,).
+
+    Raises:
+        DataError: no manifest, fewer rows than wanted (a run that continues later would see others), or a shard that
+            is damaged.
+    """
+
+    def __init__(self, folder: str | Path):
+        folder = Path(folder)
+        manifest = read_manifest(folder)
+        self.config = read(folder / "config.yaml")
+        self._shards: list[dict[str, np.ndarray]] = []
+        for name, (low, high) in manifest["shards"].items():
+            columns, damaged = {}, ""
+            for column in (read_meta(folder / name) or {"arrays": ()})["arrays"]:
+                try:
+                    columns[column] = np.load(folder / name / f"{column}.npy", mmap_mode="r", allow_pickle=False)
+                    whole = len(columns[column]) == high - low
+                except (OSError, ValueError, EOFError, TypeError):
+                    whole = False
+                damaged = damaged if whole else f"{column}.npy"
+            if damaged:
+                raise DataError(f"{folder / name}: {damaged} is damaged; simulate once more with verify=True, which "
+                                "makes it again")
+            self._shards.append(columns)
+        if manifest["rows"] < manifest["wanted"]:
+            raise DataError(f"folder: {folder} holds {manifest['rows']} of {manifest['wanted']} samples; run the `august "
+                            "simulate` that made them once more: it makes what is missing")
+        self._starts = np.cumsum([0, *(len(columns["flight"]) for columns in self._shards)])
+        self.count = int(self._starts[-1])
+        self.flights = np.concatenate([columns["flight"] for columns in self._shards])
+
+    def rows(self, split: Split) -> Int[np.ndarray, " n"]:
+        """Places of the rows of ``train``, ``validation`` or ``test``."""
+        return np.flatnonzero(split_of(self.flights, self.config) == SPLITS.index(split))
+
+    def read(self, places: Int[np.ndarray, " n"], *, observed: bool = True) -> Sample:
+        """The samples at ``places`` (n,), in that order, as NumPy arrays.
+
+        Args:
+            places: row numbers; negative ones count from the end.
+            observed: with what the base station made of them, where it was kept.
+
+        Raises:
+            ValueError: places that are no row numbers, or out of range.
+        """
+        places = np.asarray(places)
+        if places.ndim != 1 or not (np.issubdtype(places.dtype, np.integer)):
+            raise ValueError(f"places: got {places.dtype} of shape {places.shape}; give row numbers (n,), of a mask m "
+                             "np.flatnonzero(m)")
+        if places.size and not -self.count <= places.min() <= places.max() < self.count:
+            raise ValueError(f"places: {places.min()} to {places.max()} are out of range; the rows are 0 to "
+                             f"{self.count - 1}")
+        places = places.astype(np.int64) % max(self.count, 1)
+        shard = np.searchsorted(self._starts, places, side="right") - 1
+        result: dict[str, np.ndarray] = {}
+        names = [name for name in self._shards[0] if observed or name not in Observed._fields]
+        for number in np.unique(shard):
+            mine = np.flatnonzero(shard == number)
+            stored = self._shards[number]
+            for name in names:
+                store = result.setdefault(name, np.empty((len(places), *stored[name].shape[1:]), stored[name].dtype))
+                store[mine] = stored[name][places[mine] - self._starts[number]]
+        return Sample.of_columns(result)
+
+
+class TrainingBatches:
+    """Step number -> batch for the networks; a function of the step, the seed and the data alone.
+
+    Raises:
+        DataError: fewer training rows than a batch has.
+        ValueError: the samples were stored without what was made of them, and the configuration wants that.
+    """
+
+    def __init__(self, dataset: Dataset, config: Config):
+        self._dataset, self._config = dataset, config
+        self._places = dataset.rows("train")
+        if len(self._places) < config.train.batch:
+            raise DataError(
+                f"train.batch: {config.train.batch} is more than the {len(self._places)} training rows; "
+                "simulate more samples or take a smaller batch"
+            )
+        if not config.train.reobserve:
+            as_observed(dataset.read(self._places[:1]), config)
+
+    def __call__(self, step: int) -> Batch:
+        train = self._config.train
+        epoch, place = divmod(step, len(self._places) // train.batch)
+        entropy = jax.random.key_data(streams.key(train.seed, "train.order", epoch))
+        order = np.random.default_rng(np.asarray(entropy)).permutation(len(self._places))
+        chosen = np.sort(self._places[order[place * train.batch : (place + 1) * train.batch]])
+        samples = self._dataset.read(chosen, observed=not train.reobserve)
+        return batch_of(streams.key(train.seed, "train.observation", step), samples, self._config)

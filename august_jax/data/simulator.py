@@ -1,0 +1,163 @@
+"""From a configuration to channels, worked out in one place: array, lattices, bodies, contrast, channel.
+
+``august simulate``, the tracks of the demo, evaluation and the benchmarks all take their channels from here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Complex, Float
+
+from august_jax.arrays import Array, ArrayLike
+from august_jax.config import Config, TargetConfig
+from august_jax.physics import (
+    Body, Cells, PlanarArray, alike, body_channel, contrast, factor_bodies, factor_body, sensing_channel,
+)
+from august_jax.progress import Progress, silent
+from august_jax.scene.airframes import Airframe, resolve_airframe
+
+_UNEVEN = 1.4
+"""Bodies are padded to one shape, to compile once, unless the largest is this many times the mean."""
+_DENSE_POSES = 40
+"""So many poses of one craft are solved densely, about a second each; for more its body is factored first."""
+
+
+@dataclass(frozen=True)
+class Target:
+    """An airframe ready to be simulated.
+
+    Attributes:
+        airframe: the mesh.
+        cells: its cells, in the body frame.
+        cell_m: the edge of the lattice that was used [m].
+        body: its factored response; None where the solver needs none.
+        surface: triangles (T, 3, 3) [m] and cumulative areas (T,) [m^2], float32, padded to one T for the set.
+    """
+
+    airframe: Airframe
+    cells: Cells
+    cell_m: float
+    body: Body | None
+    surface: tuple[np.ndarray, np.ndarray]
+
+    @property
+    def scatterer(self) -> Body | Cells:
+        """What :func:`true_channel` takes: the body, or the cells where the solver needs none."""
+        return self.cells if self.body is None else self.body
+
+
+def nearest_distance(config: Config) -> float:
+    """A distance that every craft in the flight box keeps from every antenna, a tenth to spare, in steps of 0.5 m [m].
+
+    Raises:
+        ValueError: the flight box comes within 1 m of the array.
+    """
+    array = PlanarArray.from_config(config.array)
+    corner = [min(max(0.0, low), high) for low, high in config.flight.box_m]
+    gap = np.linalg.norm(corner) - np.linalg.norm(array.positions, axis=1).max()
+    if gap < 1.0:
+        raise ValueError(
+            f"flight.box_m: the box comes within {max(gap, 0.0):.2g} m of the array at the origin; keep it 1 m away"
+        )
+    return float(np.floor(2.0 * 0.9 * gap) / 2.0)
+
+
+def lattice_of(airframe: Airframe, target: TargetConfig) -> tuple[Cells, float]:
+    """An airframe's cells as the configuration wants them, and their edge [m]."""
+    cell_m = airframe.cell_size_for(target.max_cells, target.cell_m, target.skin_m)
+    return airframe.cells(cell_m, target.skin_m), cell_m
+
+
+def lattices_of(airframes: Sequence[Airframe], target: TargetConfig) -> list[tuple[Cells, float]]:
+    """:func:`lattice_of` each, two at a time: NumPy works on one core."""
+    with ThreadPoolExecutor(2) as pool:
+        return list(pool.map(lambda airframe: lattice_of(airframe, target), airframes))
+
+
+def prepare_targets(config: Config, progress: Progress = silent) -> list[Target]:
+    """Airframes, lattices and, for ``mom``, factored bodies (minutes for the first time, then from the cache)."""
+    target, nearest = config.target, nearest_distance(config)
+    airframes = [resolve_airframe(name, target.half_wheelbase_m) for name in target.airframes]
+    lattices, bodies = lattices_of(airframes, target), []
+    for airframe, (cells, cell_m) in zip(airframes, lattices):
+        progress(f"{airframe.name}: {cells.count} cells of {1e3 * cell_m:.3g} mm")
+    if config.data.solver == "mom":
+        tones = config.array.tones_hz or config.array.frequency_hz
+        bodies = factor_bodies([cells for cells, _ in lattices], tones, nearest_m=nearest)
+    sizes = [np.prod(body.weights.shape) for body in bodies]
+    if bodies and max(sizes) < _UNEVEN * np.mean(sizes):
+        bodies = alike(bodies)
+    most = max(len(airframe.surface[0]) for airframe in airframes)
+    # Repeating the last triangle adds no area: it is never chosen.
+    surfaces = [tuple(np.pad(part, [(0, most - len(part))] + [(0, 0)] * (part.ndim - 1), mode="edge")
+                      for part in airframe.surface) for airframe in airframes]
+    return [Target(airframe, *lattice, body, surface) for airframe, lattice, body, surface
+            in zip(airframes, lattices, bodies or [None] * len(airframes), surfaces, strict=True)]
+
+
+def contrast_of(config: Config, permittivity: ArrayLike, conductivity: ArrayLike) -> Complex[jax.Array, " tones"]:
+    """chi of a material at each tone (F,) complex64; conductivity in [S/m]."""
+    tones = jnp.asarray(config.array.frequencies_hz, jnp.float32)
+    return contrast(permittivity, conductivity, tones).astype(jnp.complex64)
+
+
+def true_channel(
+    config: Config,
+    scatterer: Body | Cells,
+    rotation: Float[Array, "3 3"],
+    position: Float[Array, "3"],
+    permittivity: ArrayLike,
+    conductivity: ArrayLike,
+) -> Complex[jax.Array, "tones antennas antennas"]:
+    """H of one craft in one pose (F, N_b, N_b) complex64, by ``config.data.solver``; pure, ``config`` static.
+
+    Args:
+        config: array, tones and solver.
+        scatterer: a factored body, or the cells in the body's frame.
+        rotation: body to world (3, 3).
+        position: surface centroid (3,) [m].
+        permittivity, conductivity: of the whole craft, [1] and [S/m].
+    """
+    array, tones = PlanarArray.from_config(config.array), config.array.frequencies_hz
+    chi = contrast_of(config, permittivity, conductivity)
+    if isinstance(scatterer, Body):
+        channel = body_channel(scatterer, array, rotation, position, chi[0] if scatterer.single else chi)
+        return channel.reshape(len(tones), *channel.shape[-2:])
+    moved = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), scatterer).moved(rotation, position)
+    return sensing_channel(array, moved, chi[:, None], solver=config.data.solver, frequencies_hz=tones)
+
+
+def channels_along(
+    config: Config,
+    airframe: Airframe,
+    rotations: Float[Array, "poses 3 3"],
+    positions: Float[Array, "poses 3"],
+    permittivity: float,
+    conductivity: float,
+) -> Complex[jax.Array, "poses tones antennas antennas"]:
+    """True channels of one craft in T poses (T, F, N_b, N_b) complex64, by ``config.data.solver``.
+
+    Args:
+        config: array, lattice, solver, and the box that bounds how near the craft comes.
+        airframe: the craft. For ``mom`` and more than 40 poses its body is factored first, half a minute for 1000
+            cells, and kept in a cache; for fewer poses the dense solve of each is quicker, about a second.
+        rotations, positions: body to world (T, 3, 3), surface centroids (T, 3) [m].
+        permittivity, conductivity: the material, [1] and [S/m].
+    """
+    scatterer: Body | Cells
+    scatterer, _ = lattice_of(airframe, config.target)
+    if config.data.solver == "mom" and len(positions) > _DENSE_POSES:
+        scatterer = factor_body(scatterer, config.array.frequencies_hz, nearest_m=nearest_distance(config))
+
+    def one(pose: tuple[jax.Array, jax.Array]) -> jax.Array:
+        return true_channel(config, scatterer, *pose, permittivity, conductivity)
+
+    # Dense solves go one after the other: each holds matrices of hundreds of megabytes.
+    many = jax.vmap(one) if isinstance(scatterer, Body) else lambda poses: jax.lax.map(one, poses)
+    return jax.jit(many)((jnp.asarray(rotations, jnp.float32), jnp.asarray(positions, jnp.float32)))
