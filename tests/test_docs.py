@@ -8,7 +8,7 @@ import pytest
 ROOT = Path(__file__).parent.parent
 
 
-@pytest.mark.parametrize("page", ["README.md", "docs/simulator.md"])
+@pytest.mark.parametrize("page", ["README.md", "docs/simulator.md", "docs/model.md"])
 def test_every_example_of_a_page_runs_in_order(page):
     text = (ROOT / page).read_text(encoding="utf-8")
     blocks = re.findall(r"^```python\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
