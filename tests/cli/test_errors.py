@@ -1,21 +1,38 @@
 """Bad input at the command line: exit status 2 and a few lines that name the field, the value and the way out."""
 
+import shlex
+
 import pytest
 
 from august_jax.app import cli
+from august_jax.app.cli.messages import command_line, in_flags
 from august_jax.app.cli.parser import parse
 
 CASES = {
     "no such command": ("demmo", ["'demmo'", "did you mean 'demo'"]),
     "unknown option": ("demo --sed 3", ["--sed", "did you mean --seed", "august demo --help"]),
+    "option of another command": ("simulate --run X", ["'--run'", "section.field=value"]),
     "stray word": ("demo quickly", ["'quickly'", "section.field=value"]),
+    "run given twice": ("evaluate one --run two", ["'one'", "--run two"]),
     "bad number": ("demo --snr loud", ["--snr", "'loud'", "is not a number"]),
     "infinite number": ("demo --snr inf", ["--snr", "'inf'"]),
-    "huge seed": ("demo --seed 99999999999999999999", ["--seed", "2^31"]),
+    "SNR beyond single precision": ("demo --snr 300", ["--snr", "300", "-100 to 100 dB"]),
+    "huge angle": ("reconstruct --mesh a.ply --yaw 1e308", ["--yaw", "1e308", "-360 to 360 degrees"]),
+    "huge place": ("reconstruct --mesh a.ply --position 1e30,5,3", ["--position", "-10000 to 10000 m"]),
+    "negative size": ("reconstruct --mesh a.ply --half-wheelbase -1", ["--half-wheelbase", "-1", "0.01 to 50 m"]),
+    "material below that of air": ("reconstruct --mesh a.ply --permittivity 0.5", ["--permittivity", "1 to 1000"]),
+    "no slots": ("demo --slots 0", ["--slots", "'0'", "from 1 to"]),
+    "huge flight": ("demo --slots 1000000000", ["--slots", "from 1 to 100000"]),
+    "huge seed": ("demo --seed 99999999999999999999", ["--seed", "2147483647"]),
     "odd digit": ("demo --seed \u00b2", ["--seed", "whole number"]),
-    "unknown preset of weights": ("demo --preset huge", ["preset", "'huge'", "smoke, laptop, paper"]),
-    "preset as an override": ("simulate --preset smoke preset=paper", ["preset=paper", "--preset"]),
-    "negative seed": ("demo --seed -1", ["--seed", "'-1'", "from 0 up"]),
+    "negative seed": ("demo --seed -1", ["--seed", "'-1'", "from 0 to"]),
+    "index that is none": ("export somewhere --format ply --index 1.5", ["--index", "'1.5'", "whole number"]),
+    "empty preset": ("simulate --preset=", ["--preset", "'' is empty"]),
+    "empty folder": ("simulate --preset smoke --out=", ["--out", "'' is empty"]),
+    "empty run": ("demo --run=", ["--run", "'' is empty"]),
+    "empty value": ("simulate --preset smoke data.count=", ["data.count", "no value is given"]),
+    "unknown preset of weights": ("demo --preset huge", ["--preset", "'huge'", "smoke, laptop, paper"]),
+    "preset as an override": ("simulate --preset smoke preset=paper", ["--preset: 'paper'", "override"]),
     "bad triple": ("reconstruct --mesh a.ply --position 1,2", ["--position", "'1,2'", "x,y,z", "5,6,3.5"]),
     "mesh not given": ("reconstruct", ["--mesh"]),
     "bad part": ("simulate --shard 5/4", ["--shard", "'5/4'", "1/4"]),
@@ -23,15 +40,27 @@ CASES = {
     "nothing to override": ("export somewhere --format ply train.steps=3", ["train.steps=3", "august export --help"]),
     "sampler steps": ("simulate --preset smoke evaluate.sampler_steps=1", ["evaluate.sampler_steps", "between 2 and"]),
     "out is a file": ("simulate --preset smoke --out {tmp}/../occupied", ["--out", "is a file", "another folder"]),
-    "unknown preset": ("simulate --preset huge", ["preset", "'huge'", "smoke, laptop, paper"]),
+    "unknown preset": ("simulate --preset huge", ["--preset", "'huge'", "smoke, laptop, paper"]),
     "unknown section": ("simulate --preset smoke trian.steps=3", ["'trian'", "did you mean 'train'"]),
     "unknown field": ("train --preset smoke train.stesp=3", ["train.stesp", "did you mean 'steps'"]),
     "bad value": ("simulate --preset smoke data.count=many", ["data.count", "'many'", "integer"]),
-    "value out of range": ("simulate --preset smoke array.nx=0", ["array.nx", "0", "positive"]),
+    "value out of bounds": ("simulate --preset smoke array.nx=0", ["array.nx", "0", "1 to 4096"]),
+    "a milliard of points": ("simulate --preset smoke target.points=1000000000", ["target.points", "1 to 1000000"]),
+    "slots of eleven days": ("simulate --preset smoke flight.slot_s=1e6", ["flight.slot_s", "60 s"]),
+    "frequency of X-rays": ("simulate --preset smoke array.frequency_hz=1e15", ["array.frequency_hz", "1e+12 Hz"]),
+    "leading zero": ("simulate --preset smoke array.frequency_hz=011", ["array.frequency_hz", "011", "octal"]),
+    "craft of one cell": ("simulate --preset smoke target.max_cells=1", ["target.max_cells", "8 to"]),
+    "craft of air": ("simulate --preset smoke target.permittivity=[1,1] target.conductivity_s_m=[0,0]",
+                     ["target.permittivity", "target.conductivity_s_m", "echo is zero"]),
     "bad choice": ("simulate --preset smoke data.solver=magic", ["data.solver", "'magic'", "mom, krylov"]),
     "bad list": ("simulate --preset smoke evaluate.snr_db=20", ["evaluate.snr_db", "[a,b]"]),
-    "no such airframe": ("simulate --preset smoke target.airframes=[quadx]", ["'quadx'", "quad_x"]),
+    "no such airframe": ("simulate --preset smoke target.airframes=[quadx]", ["quadx", "did you mean 'quad_x'"]),
+    "typo in a list": ("simulate --preset smoke target.airframes=[quad_x,hexq]",
+                       ["target.airframes[1]", "hexq", "did you mean 'hexa'"]),
+    "observations that are not kept": ("simulate --preset smoke train.reobserve=false",
+                                       ["data.observed", "data.observed=true"]),
     "no such run": ("evaluate {tmp}/nowhere", ["{tmp}/nowhere", "august train"]),
+    "no such run, as an option": ("evaluate --run {tmp}/nowhere", ["{tmp}/nowhere", "august train"]),
     "no such run for demo": ("demo --run {tmp}/nowhere", ["{tmp}/nowhere", "august train"]),
     "no such data": ("train --preset smoke --data {tmp}/nowhere", ["{tmp}/nowhere", "august simulate"]),
     "no such data for the default": ("train", ["august_data/laptop", "august simulate --preset laptop --out"]),
@@ -99,3 +128,28 @@ def test_overrides_mix_with_options():
     args = parse("train train.steps=5 --data here model.latent=3 --out there".split(), cli.COMMANDS)
     assert args.overrides == ["train.steps=5", "model.latent=3"]
     assert (args.data, args.out) == ("here", "there")
+
+
+OPTIONS = ("--position", "--snr", "--half-wheelbase", "--unit", "--pitch", "--roll")
+
+
+@pytest.mark.parametrize(("message", "wanted"), [
+    ("snr_db: 300 dB is too much", "--snr: 300 dB is too much"),
+    ("pitch_deg, roll_deg: 50 and 3", "--pitch, --roll: 50 and 3"),
+    ("unit='furlong': choose one of m, cm", "--unit 'furlong': choose one of m, cm"),
+    ("position: outside; choose position=(5.0, 6.0, 3.5)", "--position: outside; choose --position 5.0,6.0,3.5"),
+    ("half_wheelbase_m: 2; set half_wheelbase_m=0.25, or check unit", "--half-wheelbase: 2; set --half-wheelbase 0.25, "
+                                                                      "or check unit"),
+    # not the option's business: fields, paths, arguments that this command has no option for
+    ("data.seed: 3; set data.seed=4", "data.seed: 3; set data.seed=4"),
+    ("/tmp/unit=3/file: damaged", "/tmp/unit=3/file: damaged"),
+    ("seed: 3; set seed=4", "seed: 3; set seed=4"),
+])
+def test_arguments_of_the_library_become_options(message, wanted):
+    assert in_flags(message, OPTIONS) == wanted
+
+
+def test_lines_to_repeat_are_quoted():
+    words = ["reconstruct", "--mesh", "my drones/it's one.stl", "--position", "-1,4,2"]
+    program, *back = shlex.split(command_line(*words))
+    assert (program, back) == ("august", words)

@@ -41,6 +41,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     debug = "--debug" in words
     if not debug:
         os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")  # XLA's remarks on its own compile times
+    args = None
     try:
         args = parse(words, COMMANDS)
         if args is None:
@@ -63,5 +64,5 @@ def main(argv: Sequence[str] | None = None) -> int:
     except Exception as error:
         if debug:
             raise
-        note(told(error))
+        note(told(error, args.options if args else ()))
         return 2

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import argparse
 import os
-from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from august_jax import config as configuration
 from august_jax.config import Config, ConfigError
@@ -24,8 +23,6 @@ def folder(args: argparse.Namespace, default: str, *, configured: bool = False) 
 
     With ``configured``, also refused where the ``config.yaml`` is another command's.
     """
-    if args.out == "":
-        raise ConfigError("--out: '' names no folder; leave it out, or give one")
     out = Path(args.out or default)
     for mark, owner in _MARKS.items():
         if configured and (out / mark).exists() and f"august {args.command}" not in owner:
@@ -48,29 +45,11 @@ def chosen_weights(args: argparse.Namespace, run: str | None) -> tuple[Networks,
     from august_jax import pipeline
 
     networks = pipeline.load_networks(run)
-    if args.preset:
-        configuration.preset(args.preset)  # refuses unknown ones
-    if args.preset and args.preset != networks.config.preset:
+    if args.preset is not None and configuration.preset(args.preset).preset != networks.config.preset:
         raise ConfigError(
             f"preset: {args.preset!r}, but these weights were trained with preset {networks.config.preset!r}\n"
             f"train your own: august simulate --preset {args.preset}, then august train --preset {args.preset}"
         )
     config = configuration.override(networks.config, args.overrides)
-    for path, has, wanted in differences(networks.config, config, ("array", "region", "model", "flight.box_m")):
-        raise ConfigError(f"{path}={wanted}: the weights were trained with {has} and only fit that\n"
-                          "train weights of your own (august simulate, august train) to change it")
+    configuration.check_weights(config, networks.config)
     return networks, config
-
-
-def differences(first: Config, second: Config, sections: Sequence[str]) -> list[tuple[str, Any, Any]]:
-    """Fields below ``sections`` in which two configurations differ: (path, value in the first, in the second)."""
-    left, right = _leaves(configuration.to_dict(first)), _leaves(configuration.to_dict(second))
-    return [(path, left[path], right[path]) for path in left
-            if any(path == each or path.startswith(each + ".") for each in sections) and left[path] != right[path]]
-
-
-def _leaves(tree: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    flat: dict[str, Any] = {}
-    for key, value in tree.items():
-        flat.update(_leaves(value, f"{prefix}{key}.") if isinstance(value, dict) else {prefix + key: value})
-    return flat

@@ -7,15 +7,19 @@ import time
 from typing import Any
 
 from august_jax.app.cli.common import chosen_weights
-from august_jax.app.cli.messages import note
-from august_jax.app.cli.parser import Command, natural, number
-from august_jax.app.cli.sensing import own_run, sensed
+from august_jax.app.cli.messages import command_line, note, options
+from august_jax.app.cli.parser import Command, number, whole
+from august_jax.app.cli.sensing import sensed
+from august_jax.config import bounds
 
 
 def _arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--seed", type=natural, default=0, metavar="N", help="of flight, material, noise (default 0)")
-    parser.add_argument("--snr", type=number, default=20.0, metavar="DB", help="SNR of the echo [dB] (default 20)")
-    parser.add_argument("--slots", type=natural, default=12, metavar="N", help="length of the flight (default 12)")
+    parser.add_argument("--seed", type=whole(), default=0, metavar="N", help="of flight, material, noise (default 0)")
+    parser.add_argument("--snr", type=number("signal.snr_db"), default=20.0, metavar="DB",
+                        help="SNR of the echo [dB] (default 20)")
+    most = int(bounds("flight.slots").high)
+    parser.add_argument("--slots", type=whole(1, most), default=12, metavar="N",
+                        help="length of the flight (default 12)")
     parser.add_argument("--airframe", metavar="NAME", help="a procedural airframe (default: drawn)")
     parser.add_argument("--run", metavar="RUN", help="weights of your own training run (default: the shipped ones)")
 
@@ -28,9 +32,12 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
     shot = pipeline.draw_flight(config, args.seed, args.slots, args.airframe)
     note(f"{shot.airframe.name} flies {args.slots} slots, permittivity {shot.permittivity:.2f}, "
          f"conductivity {1e3 * shot.conductivity:.1f} mS/m")
+    again = [*options(args, "airframe", "run"), *args.overrides]
     return sensed(args, networks, config, shot, started, following=[
-        ("august reconstruct --mesh FILE --half-wheelbase 0.25" + own_run(args), "your own drone, in any pose"),
-        ("august demo --seed 1 --snr 30" + own_run(args), "another flight, at a better SNR"),
+        (command_line("reconstruct", "--mesh", "FILE", "--half-wheelbase", f"{config.target.half_wheelbase_m:g}",
+                      *options(args, "run"), *args.overrides), "your own drone, in any pose"),
+        (command_line("demo", "--seed", str(args.seed + 1), "--snr", "30", "--slots", str(args.slots), *again),
+         "another flight, at a better SNR"),
     ])
 
 

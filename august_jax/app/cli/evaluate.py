@@ -7,14 +7,16 @@ import json
 from typing import Any
 
 from august_jax.app.cli.common import chosen_weights, folder
-from august_jax.app.cli.messages import note, say, scheme_table
-from august_jax.app.cli.parser import Command, natural
+from august_jax.app.cli.messages import UsageError, note, say, scheme_table
+from august_jax.app.cli.parser import Command, whole
 
 
 def _arguments(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(places=1)
     parser.usage = f"{parser.prog} [RUN] [options] [section.field=value ...]"
-    parser.add_argument("--seed", type=natural, default=1, metavar="N", help="of the fresh samples (default 1)")
+    parser.add_argument("--run", metavar="RUN", help="the same as RUN: weights of your own training run (default: the "
+                                                     "shipped ones)")
+    parser.add_argument("--seed", type=whole(), default=1, metavar="N", help="of the fresh samples (default 1)")
 
 
 def _run(args: argparse.Namespace) -> dict[str, Any]:
@@ -23,7 +25,9 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
     from august_jax.files import write_text
 
     out = folder(args, "august_evaluate")
-    networks, config = chosen_weights(args, args.rest[0] if args.rest else None)
+    if args.run and args.rest:
+        raise UsageError(f"{args.rest[0]!r}: the run is already given as --run {args.run}; name one")
+    networks, config = chosen_weights(args, args.run or (args.rest[0] if args.rest else None))
     rows = evaluation.evaluate(networks, config, seed=args.seed, progress=note)
     result = {"weights": networks.name, "seed": args.seed, "rows": rows}
     write_text(out / "evaluation.json", json.dumps(result, indent=1, allow_nan=False))

@@ -10,7 +10,7 @@ from typing import Any
 
 from august_jax.app.cli.common import folder
 from august_jax.app.cli.messages import UsageError, say
-from august_jax.app.cli.parser import Command
+from august_jax.app.cli.parser import Command, whole
 from august_jax.config import ConfigError
 
 
@@ -18,7 +18,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(places=1)
     parser.usage = f"{parser.prog} SOURCE --format FORMAT [options]"
     parser.add_argument("--format", required=True, metavar="FORMAT", help="ply, npz, mat or json")
-    parser.add_argument("--index", type=int, default=-1, metavar="N",
+    parser.add_argument("--index", type=whole(-(2**31)), default=-1, metavar="N",
                         help="slot of a result, or sample of a data set (default: the last)")
 
 

@@ -4,14 +4,30 @@ from __future__ import annotations
 
 import argparse
 import errno
+import re
+import shlex
 import sys
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
 from august_jax.app.devices import describe_backend_error
 
 _MOST_LINES = 6
+FLAGS = {
+    "airframe": "--airframe", "conductivity": "--conductivity", "data": "--data", "folder": "--out",
+    "forward": "--forward", "half_wheelbase": "--half-wheelbase", "half_wheelbase_m": "--half-wheelbase",
+    "index": "--index", "mesh": "--mesh", "out_dir": "--out", "part": "--shard", "permittivity": "--permittivity",
+    "pitch": "--pitch", "pitch_deg": "--pitch", "position": "--position", "position_m": "--position",
+    "preset": "--preset", "roll": "--roll", "roll_deg": "--roll", "run": "--run", "seed": "--seed", "shard": "--shard",
+    "slots": "--slots", "snr": "--snr", "snr_db": "--snr", "unit": "--unit", "up": "--up", "weights": "--init",
+    "yaw": "--yaw", "yaw_deg": "--yaw",
+}
+"""Argument of the library -> option that gives it. The library's messages name arguments; here alone are they
+translated."""
+_NAMES = "|".join(sorted(FLAGS, key=len, reverse=True))
+_LEADING = re.compile(rf"((?:{_NAMES})(?:, (?:{_NAMES}))*)(?=:)")
+_GIVEN = re.compile(rf"(?<![\w./-])({_NAMES})=(\([^)]*\)|[^\s,;:)]+)")
 
 
 class UsageError(Exception):
@@ -28,8 +44,50 @@ def note(text: str) -> None:
     print(text, file=sys.stderr, flush=True)
 
 
-def told(error: Exception) -> str:
-    """At most six lines for any error: those meant for the user as they are, others with their kind."""
+def command_line(*words: str) -> str:
+    """A line that a shell takes back as it is: ``august`` with these words, quoted where they need it."""
+    return shlex.join(["august", *words])
+
+
+def options(args: argparse.Namespace, *names: str) -> list[str]:
+    """The words that give these options again, such as ``--unit mm``; none for those that were not given."""
+    words = []
+    for name in names:
+        value = getattr(args, name)
+        if value is not None:
+            text = ",".join(f"{each:.12g}" for each in value) if isinstance(value, tuple) else str(value)
+            words += [f"--{name.replace('_', '-')}", text]
+    return words
+
+
+def in_flags(text: str, options: Collection[str]) -> str:
+    """A message of the library in the words of the command line.
+
+    ``snr_db: 300 ...`` becomes ``--snr: 300 ...``, and ``try position=(5, 6, 3.5)`` ``try --position 5,6,3.5``.
+
+    Args:
+        text: the message.
+        options: those that the command takes; arguments that it gets otherwise keep their names.
+    """
+    def named(found: re.Match[str]) -> str:
+        flags = [FLAGS[name] for name in found[1].split(", ")]
+        return ", ".join(flags) if set(flags) <= set(options) else found[0]
+
+    def given(found: re.Match[str]) -> str:
+        flag = FLAGS[found[1]]
+        return f"{flag} {found[2].strip('()').replace(', ', ',')}" if flag in options else found[0]
+
+    lead = _LEADING.match(text)
+    return (named(lead) if lead else "") + _GIVEN.sub(given, text[lead.end() if lead else 0:])
+
+
+def told(error: Exception, options: Collection[str] = ()) -> str:
+    """At most six lines for any error: those meant for the user as they are, others with their kind.
+
+    Args:
+        error: what a command raised.
+        options: those that the command takes, into which the library's arguments are translated.
+    """
     text = str(error).strip()
     missing_device = describe_backend_error(error)
     if missing_device is not None:
@@ -41,6 +99,8 @@ def told(error: Exception) -> str:
         text = f"{text}; install again: pip install -c constraints.txt ."
     elif not isinstance(error, (ValueError, FloatingPointError, UsageError)):
         text = f"unexpected {type(error).__name__}: {text}\nadd --debug to see where"
+    elif isinstance(error, ValueError):
+        text = in_flags(text, options)
     lines = [part for line in f"august: {text or type(error).__name__}".splitlines() if line.strip()
              for part in textwrap.wrap(line, 160, break_long_words=False, subsequent_indent="  ")]
     return "\n".join(lines if len(lines) <= _MOST_LINES else [*lines[:_MOST_LINES - 1], "  ..."])

@@ -5,16 +5,29 @@ from __future__ import annotations
 import argparse
 import difflib
 import re
+import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple, NoReturn
 
 from august_jax import __version__
 from august_jax import config as configuration
 from august_jax.app.cli.messages import UsageError
+from august_jax.config import Bounds
 
 _ASSIGNMENT = re.compile(r"[a-z_]\w*(\.\w+)*=")
 _SIGNED = ("--position", "--up", "--forward", "--yaw", "--pitch", "--roll", "--snr", "--index")
 """Options whose value may begin with a minus sign."""
+
+
+def presets_help() -> str:
+    """The presets with what they take and what to expect, for the end of a command's help."""
+    lines = [line for name, each in configuration.PRESETS.items() for line in textwrap.wrap(
+        f"{name}: {each.summary}. Takes: {each.time}. Expect: {each.expected}.", 100, initial_indent="  ",
+        subsequent_indent="    ")]
+    return "\n".join(["presets:", *lines])
+
+
+ANGLE = Bounds(-360.0, 360.0, "degrees")
 
 
 class Command(NamedTuple):
@@ -37,15 +50,20 @@ class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         unknown = re.match(r"unrecognized arguments: (\S+)", message)
         if unknown:
-            known = [option for action in self._actions for option in action.option_strings]
-            near = difflib.get_close_matches(unknown[1], known, n=1)
-            hint = f"; did you mean {near[0]}?" if near else "; overrides are of the form section.field=value"
+            known = [option.strip("-") for option in _options(self)]
+            near = difflib.get_close_matches(unknown[1].strip("-").partition("=")[0], known, n=1)
+            hint = f"; did you mean --{near[0]}?" if near else "; overrides are of the form section.field=value"
             message = f"unknown argument {unknown[1]!r}{hint}"
         raise UsageError(f"{message}\nsee: {self.prog} --help")
 
 
+def _options(parser: argparse.ArgumentParser) -> list[str]:
+    return [option for action in parser._actions for option in action.option_strings]
+
+
 def parse(words: Sequence[str], commands: Mapping[str, Command]) -> argparse.Namespace | None:
-    """The arguments of one command, with ``command``, ``overrides`` and ``rest``; None where help was all.
+    """The arguments of one command, with ``command``, ``options`` (that it takes), ``words`` (as they were given),
+    ``overrides`` and ``rest``; None where help was all.
 
     Raises:
         UsageError: the words do not fit.
@@ -72,7 +90,8 @@ def parse(words: Sequence[str], commands: Mapping[str, Command]) -> argparse.Nam
         raise UsageError(f"unknown command {name!r}; " + (f"did you mean {near[0]!r}? " if near else "")
                          + f"choose one of {', '.join(commands)}")
     command = commands[name]
-    parser = _Parser(prog=f"august {name}", description=command.summary, allow_abbrev=False)
+    parser = _Parser(prog=f"august {name}", description=command.summary, allow_abbrev=False,
+                     formatter_class=argparse.RawDescriptionHelpFormatter)
     command.arguments(parser)
     if command.configured:
         parser.add_argument("--preset", metavar="NAME", help=f"one of {', '.join(configuration.PRESETS)}")
@@ -85,7 +104,11 @@ def parse(words: Sequence[str], commands: Mapping[str, Command]) -> argparse.Nam
         args = parser.parse_intermixed_args(_join_signed(words[1:]))
     except SystemExit:
         return None
-    args.command = name
+    for each, value in vars(args).items():
+        if value == "":
+            raise UsageError(f"--{each.replace('_', '-')}: '' is empty; leave it out, or give a value\n"
+                             f"see: august {name} --help")
+    args.command, args.options, args.words = name, tuple(_options(parser)), tuple(words)
     args.overrides = [text for text in args.rest if _ASSIGNMENT.match(text)]
     args.rest = [text for text in args.rest if not _ASSIGNMENT.match(text)]
     if args.overrides and not command.configured:
@@ -109,8 +132,10 @@ def _join_signed(words: Sequence[str]) -> list[str]:
     return joined
 
 
-def numbers(count: int) -> Callable[[str], tuple[float, ...]]:
-    """An argparse type: ``count`` numbers separated by commas."""
+def numbers(count: int, bounds: Bounds | str) -> Callable[[str], tuple[float, ...]]:
+    """An argparse type: ``count`` numbers separated by commas, within bounds or those of the field that is named."""
+    within = configuration.bounds(bounds) if isinstance(bounds, str) else bounds
+
     def read(text: str) -> tuple[float, ...]:
         try:
             values = tuple(float(part) for part in text.split(","))
@@ -119,25 +144,33 @@ def numbers(count: int) -> Callable[[str], tuple[float, ...]]:
         if len(values) != count or not all(abs(value) < float("inf") for value in values):
             shape = ",".join("xyz"[:count]) if count > 1 else "a number"
             raise argparse.ArgumentTypeError(f"{text!r} is not {shape}, e.g. {'5,6,3.5' if count > 1 else '20'}")
+        complaint = within(values)
+        if complaint:
+            raise argparse.ArgumentTypeError(f"{text} {complaint}")
         return values
     return read
 
 
-def number(text: str) -> float:
-    """An argparse type: a finite number."""
-    return numbers(1)(text)[0]
+def number(bounds: Bounds | str) -> Callable[[str], float]:
+    """An argparse type: a finite number within bounds, or those of the field that is named."""
+    read = numbers(1, bounds)
+    return lambda text: read(text)[0]
 
 
-def natural(text: str) -> int:
-    """An argparse type: a whole number from 0 up to 2^31 - 1."""
-    if not re.fullmatch("[0-9]{1,20}", text) or int(text) >= 2**31:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 0 up to 2^31 - 1")
-    return int(text)
+def whole(low: int = 0, high: int = 2**31 - 1) -> Callable[[str], int]:
+    """An argparse type: a whole number from ``low`` to ``high``."""
+    def read(text: str) -> int:
+        if not re.fullmatch("-?[0-9]{1,20}", text) or not low <= int(text) <= high:
+            raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from {low} to {high}")
+        return int(text)
+    return read
 
 
 def part(text: str) -> tuple[int, int]:
     """An argparse type: ``i/n`` with 1 <= i <= n."""
-    found = re.fullmatch(r"(\d+)/(\d+)", text)
+    found = re.fullmatch(r"([0-9]{1,9})/([0-9]{1,9})", text)
     if not found or not 1 <= int(found[1]) <= int(found[2]):
         raise argparse.ArgumentTypeError(f"{text!r} is not of the form i/n with 1 <= i <= n, e.g. 1/4")
     return int(found[1]), int(found[2])
+
+

@@ -7,9 +7,9 @@ import time
 from typing import Any
 
 from august_jax.app.cli.common import chosen_weights
-from august_jax.app.cli.messages import note
-from august_jax.app.cli.parser import Command, natural, number, numbers
-from august_jax.app.cli.sensing import own_run, sensed
+from august_jax.app.cli.messages import command_line, note, options
+from august_jax.app.cli.parser import ANGLE, Command, number, numbers, whole
+from august_jax.app.cli.sensing import sensed
 
 
 def _arguments(parser: argparse.ArgumentParser) -> None:
@@ -17,14 +17,19 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--unit", default="m", help="of the file: m, cm, mm, in, ft, or metres a unit (default m)")
     parser.add_argument("--up", default="z", metavar="AXIS", help="the file's upward axis (default z)")
     parser.add_argument("--forward", default="x", metavar="AXIS", help="the file's forward axis (default x)")
-    parser.add_argument("--half-wheelbase", type=number, metavar="M", help="scale to this half-wheelbase [m]")
-    parser.add_argument("--position", type=numbers(3), metavar="X,Y,Z", help="[m] (default: the flight box's centre)")
+    parser.add_argument("--half-wheelbase", type=number("target.half_wheelbase_m"), metavar="M",
+                        help="scale to this half-wheelbase [m]")
+    parser.add_argument("--position", type=numbers(3, "flight.box_m"), metavar="X,Y,Z",
+                        help="[m] (default: the flight box's centre)")
     for angle in ("yaw", "pitch", "roll"):
-        parser.add_argument(f"--{angle}", type=number, default=0.0, metavar="DEG", help="[deg] (default 0)")
-    parser.add_argument("--permittivity", type=number, metavar="EPS", help="relative (default: mid-range)")
-    parser.add_argument("--conductivity", type=number, metavar="S", help="[S/m] (default: mid-range)")
-    parser.add_argument("--snr", type=number, default=20.0, metavar="DB", help="SNR of the echo [dB] (default 20)")
-    parser.add_argument("--seed", type=natural, default=0, metavar="N", help="of prediction and noise (default 0)")
+        parser.add_argument(f"--{angle}", type=number(ANGLE), default=0.0, metavar="DEG", help="[deg] (default 0)")
+    parser.add_argument("--permittivity", type=number("target.permittivity"), metavar="EPS",
+                        help="relative (default: mid-range)")
+    parser.add_argument("--conductivity", type=number("target.conductivity_s_m"), metavar="S",
+                        help="[S/m] (default: mid-range)")
+    parser.add_argument("--snr", type=number("signal.snr_db"), default=20.0, metavar="DB",
+                        help="SNR of the echo [dB] (default 20)")
+    parser.add_argument("--seed", type=whole(), default=0, metavar="N", help="of prediction and noise (default 0)")
     parser.add_argument("--run", metavar="RUN", help="weights of your own training run (default: the shipped ones)")
 
 
@@ -40,9 +45,14 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
                          roll_deg=args.roll, permittivity=args.permittivity, conductivity=args.conductivity)
     note(f"{airframe.name}: half-wheelbase {airframe.half_wheelbase_m:.3f} m, at "
          f"({', '.join(f'{value:.2f}' for value in shot.positions[0])}) m")
-    return sensed(args, networks, config, shot, started, following=[
-        (f"august reconstruct --mesh {args.mesh} --snr 30 --yaw 45 --pitch 15" + own_run(args),
-         "another pose, at a better SNR; with your --unit, --up, --forward and --half-wheelbase"),
+    again = options(args, "mesh", "unit", "up", "forward", "half_wheelbase", "position", "permittivity", "conductivity",
+                    "run")
+    return sensed(args, networks, config, shot, started, made={
+        "mesh": str(args.mesh), "unit": args.unit, "up": args.up, "forward": args.forward,
+        "surface_digest": airframe.digest, "yaw_deg": args.yaw, "pitch_deg": args.pitch, "roll_deg": args.roll,
+    }, following=[
+        (command_line("reconstruct", *again, "--snr", "30", "--yaw", "45", "--pitch", "15", *args.overrides),
+         "another pose, at a better SNR"),
     ])
 
 

@@ -5,25 +5,20 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from august_jax import config as configuration
 from august_jax.app.cli.common import folder
-from august_jax.app.cli.messages import note, say, scheme_table
+from august_jax.app.cli.messages import command_line, note, say, scheme_table
 from august_jax.config import Config
 
 if TYPE_CHECKING:
     from august_jax.pipeline import Networks, Scenario
 
 
-def own_run(args: argparse.Namespace) -> str:
-    """The option that names the weights again, for a command line to try next."""
-    return f" --run {args.run}" if args.run else ""
-
-
 def sensed(args: argparse.Namespace, networks: Networks, config: Config, shot: Scenario, started: float,
-           following: Sequence[tuple[str, str]]) -> dict[str, Any]:
+           following: Sequence[tuple[str, str]], made: Mapping[str, Any] | None = None) -> dict[str, Any]:
     """Sense ``shot``, write report, picture, clouds and numbers, and return the numbers.
 
     Args:
@@ -32,6 +27,7 @@ def sensed(args: argparse.Namespace, networks: Networks, config: Config, shot: S
         shot: what flies.
         started: :func:`time.monotonic` when the command began [s].
         following: pairs of a command line to try next and what it does.
+        made: how the craft came about, kept with the numbers.
     """
     from august_jax import evaluation, pipeline
     from august_jax.app import plotting, report
@@ -40,9 +36,9 @@ def sensed(args: argparse.Namespace, networks: Networks, config: Config, shot: S
 
     command = args.command
     out = folder(args, f"august_{command}", configured=True)
-    following = [*following, (f"august evaluate {args.run + ' ' if args.run else ''}--seed 1",
-                              "the accuracy over SNR, beside its baselines"),
-                 (f"august export {out} --format mat", "the clouds for MATLAB")]
+    following = [*following, (command_line("evaluate", *([args.run] if args.run else []), "--seed", "1",
+                                           *args.overrides), "the accuracy over SNR, beside its baselines"),
+                 (command_line("export", str(out), "--format", "mat"), "the clouds for MATLAB")]
     track = pipeline.sense(networks, config, shot, seed=args.seed, snr_db=args.snr, progress=note)
     scores = evaluation.score_track(track, config, shot.airframe.half_wheelbase_m)
     seconds = time.monotonic() - started
@@ -64,10 +60,12 @@ def sensed(args: argparse.Namespace, networks: Networks, config: Config, shot: S
         ("sampler", f"{config.evaluate.sampler}, {_sampler_steps(config)} steps, {config.target.points} points"),
         ("first predictions", f"uniform within {config.region.threshold_m:g} m along each axis, as of a detection"),
         ("seed", str(args.seed)),
+        ("command", command_line(*args.words)),
         ("computed in", f"{seconds:.0f} s"),
     ]
-    metrics = {"command": command, "snr_db": args.snr, "seed": args.seed, "seconds": round(seconds, 1),
-               "weights": networks.name, "airframe": shot.airframe.name, **scores}
+    metrics = {"command": command, "command_line": command_line(*args.words), "snr_db": args.snr, "seed": args.seed,
+               "seconds": round(seconds, 1), "weights": networks.name, "airframe": shot.airframe.name,
+               "half_wheelbase_m": shot.airframe.half_wheelbase_m, "made": dict(made or {}), **scores}
     span = {"permittivity": config.target.permittivity, "conductivity": config.target.conductivity_s_m}
     write_record(out / "clouds.npz", track.record())
     write_ply(out / "cloud.ply", track.points[-1], track.point_permittivity[-1], track.point_conductivity[-1])
@@ -81,8 +79,8 @@ def sensed(args: argparse.Namespace, networks: Networks, config: Config, shot: S
     say(args, scheme_table(scores["schemes"], snr=False))
     say(args, f"\nwritten in {seconds:.0f} s to {out}/: {', '.join(files)}")
     say(args, f"look:  {(out / 'report.html').resolve().as_uri()}")
-    for command_line, why in following[:2]:
-        say(args, f"next:  {command_line}   # {why}")
+    for line, why in following[:2]:
+        say(args, f"next:  {line}   # {why}")
     return {"out": str(out), "files": files, **metrics}
 
 
