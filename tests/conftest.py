@@ -1,9 +1,46 @@
-"""Shared by all tests: a private cache, so that no test reads or leaves files in the user's own."""
+"""Shared by all tests: types checked as the code runs, a private cache, a quick compiler.
+
+Annotations of the package are checked at every call, shapes and dtypes of arrays among them: beartype, through
+jaxtyping's import hook. The dimension names of a call must agree: ``Float[Array, "n 3"]`` beside ``Float[Array, "n"]``
+is one n. So an annotation that is not true fails the tests, and so does a test that hands a function what its
+annotation does not allow; one that tries how the package itself refuses such a value asks for the fixture
+``unchecked``. Without beartype, and with ``AUGUST_CHECK_TYPES=0``, nothing is checked.
+"""
 
 import os
 import tempfile
+from importlib.util import find_spec
 
+import pytest
+
+CHECKED = (
+    "august_jax.app.devices",
+    "august_jax.app.sums",
+    "august_jax.config",
+    "august_jax.physics.green",
+    "august_jax.scene.pose",
+)
+"""Modules whose annotations are checked, each with all below it."""
+
+if os.environ.get("AUGUST_CHECK_TYPES", "1") != "0" and find_spec("beartype"):
+    from jaxtyping import install_import_hook
+
+    install_import_hook(CHECKED, "beartype.beartype")
+
+# so that no test reads or leaves files in the user's own
 os.environ.setdefault("AUGUST_CACHE", tempfile.mkdtemp(prefix="august-cache-"))
 os.environ.setdefault("MPLBACKEND", "Agg")
-# Most of the suite's time is compilation; code that runs once need not be fast.
-os.environ["XLA_FLAGS"] = os.environ.get("XLA_FLAGS", "") + " --xla_backend_optimization_level=0"
+# Most of the suite's time is compilation; code that runs once need not be fast. A file of flags is left alone.
+if not os.environ.get("XLA_FLAGS", "").strip() or os.environ["XLA_FLAGS"].lstrip().startswith("-"):
+    os.environ["XLA_FLAGS"] = os.environ.get("XLA_FLAGS", "") + " --xla_backend_optimization_level=0"
+
+
+@pytest.fixture
+def unchecked():
+    """Types are not checked while this test runs: it hands over wrong ones to see how the package refuses them."""
+    from jaxtyping import config
+
+    before = config.jaxtyping_disable
+    config.update("jaxtyping_disable", True)
+    yield
+    config.update("jaxtyping_disable", before)

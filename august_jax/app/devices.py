@@ -21,7 +21,7 @@ def describe_backend_error(error: BaseException) -> str | None:
         return None
     import jax
 
-    wanted = jax.config.jax_platforms
+    wanted = jax.config.jax_platforms  # type: ignore[attr-defined]  # an attribute from when JAX is imported
     if not wanted:
         return None
     try:
