@@ -117,7 +117,7 @@ def test_bad_overrides_name_the_field_and_the_way_out(text):
     assert words[0].split("=")[0].split(".")[0] in str(refused.value) and "--" not in str(refused.value)
 
 
-def test_python_meets_the_same_door():
+def test_python_meets_the_same_door(unchecked):
     with pytest.raises(ConfigError, match="array.frequency_hz: 0 must lie in"):
         configuration.ArrayConfig(frequency_hz=0.0)
     with pytest.raises(ConfigError, match="signal.estimator: unknown value 'mmse'"):
@@ -182,13 +182,16 @@ def test_training_takes_from_the_data_what_they_are_made_of():
     assert training_config(DATA, ["signal.estimator=ls"]).signal.estimator == "ls"
 
 
-@pytest.mark.parametrize(("name", "assignments", "message"), [
-    ("laptop", [], "preset: 'laptop', but D was made with preset 'smoke'"),
-    ("huge", [], "preset: unknown preset 'huge'"),
-    (None, ["array.nx=8"], "array.nx: 8, but D was made with 4"),
-    (None, ["data.seed=4"], "data.seed: 4, but D was made with 3"),
-    (None, ["model.scheme=refchannel"], "model.scheme: refchannel learns from reference channels"),
-])
+@pytest.mark.parametrize(
+    ("name", "assignments", "message"),
+    [
+        ("laptop", [], "preset: 'laptop', but D was made with preset 'smoke'"),
+        ("huge", [], "preset: unknown preset 'huge'"),
+        (None, ["array.nx=8"], "array.nx: 8, but D was made with 4"),
+        (None, ["data.seed=4"], "data.seed: 4, but D was made with 3"),
+        (None, ["model.scheme=refchannel"], "model.scheme: refchannel learns from reference channels"),
+    ],
+)
 def test_training_is_refused_what_the_data_are_not(name, assignments, message):
     with pytest.raises(ConfigError, match=message):
         training_config(DATA, assignments, name=name, data="D")
@@ -202,8 +205,9 @@ def test_stored_observations_fix_how_they_were_made():
         check_data(override(config, ["signal.estimator=ls"]), made)
 
 
-@pytest.mark.parametrize("assignment", ["array.nx=8", "model.latent=4", "region.scale_m=0.8",
-                                        "flight.box_m=[[3,7],[4,8],[2,6]]"])
+@pytest.mark.parametrize(
+    "assignment", ["array.nx=8", "model.latent=4", "region.scale_m=0.8", "flight.box_m=[[3,7],[4,8],[2,6]]"]
+)
 def test_weights_fit_what_they_were_trained_for(assignment):
     trained = preset("smoke")
     check_weights(override(trained, ["signal.estimator=ls", "evaluate.sampler_steps=3", "flight.slots=2"]), trained)
@@ -211,17 +215,20 @@ def test_weights_fit_what_they_were_trained_for(assignment):
         check_weights(override(trained, [assignment]), trained)
 
 
-@pytest.mark.parametrize(("text", "wanted"), [
-    ("a: [", "not YAML"),
-    ("3", "no mapping"),
-    ("model: {latnet: 3}", "model.latnet: unknown field; did you mean 'latent'"),
-    ("modle: {latent: 3}", "modle: unknown field; did you mean 'model'"),
-    ("model: 3", "model: 3 is not a section"),
-    ("preset: huge", "preset: unknown value 'huge'"),
-    ("array:\n  nx: 4\n  nx: 8", "nx is given twice"),
-    ("array: {nx: 04}", "04 begins with a zero"),
-    ("\xff", "utf-8"),
-])
+@pytest.mark.parametrize(
+    ("text", "wanted"),
+    [
+        ("a: [", "not YAML"),
+        ("3", "no mapping"),
+        ("model: {latnet: 3}", "model.latnet: unknown field; did you mean 'latent'"),
+        ("modle: {latent: 3}", "modle: unknown field; did you mean 'model'"),
+        ("model: 3", "model: 3 is not a section"),
+        ("preset: huge", "preset: unknown value 'huge'"),
+        ("array:\n  nx: 4\n  nx: 8", "nx is given twice"),
+        ("array: {nx: 04}", "04 begins with a zero"),
+        ("\xff", "utf-8"),
+    ],
+)
 def test_a_damaged_or_edited_file_is_named(tmp_path, text, wanted):
     path = tmp_path / "config.yaml"
     path.write_bytes(text.encode("latin-1"))

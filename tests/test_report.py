@@ -13,8 +13,18 @@ SCORES = {"slots": [{"slot": 0, "note": "</script><b>"}], "schemes": [{"scheme":
 
 
 def write(path, track, scores=SCORES, title="made up"):
-    report.write_report(path, track, scores, title=title, lead="lead", note="note", setup=[("seed", "1")],
-                        following=[("august demo", "again")], permittivity=(1.5, 5.0), conductivity=(1e-3, 1e-2))
+    report.write_report(
+        path,
+        track,
+        scores,
+        title=title,
+        lead="lead",
+        note="note",
+        setup=[("seed", "1")],
+        following=[("august demo", "again")],
+        permittivity=(1.5, 5.0),
+        conductivity=(1e-3, 1e-2),
+    )
     return path.read_text()
 
 
@@ -30,13 +40,14 @@ def test_clouds_come_back_from_the_page(tmp_path):
         # rounding to the nearest step, and float64 truth
         np.testing.assert_allclose(steps * report.QUANTUM_M + track.position[0], points, atol=0.51 * report.QUANTUM_M)
     levels = np.frombuffer(base64.b64decode(slot["point_permittivity"]), np.uint8)
-    np.testing.assert_allclose(1.5 + 3.5 * levels / 255, np.clip(track.point_permittivity[0], 1.5, 5.0),
-                               atol=0.51 * 3.5 / 255)
+    np.testing.assert_allclose(
+        1.5 + 3.5 * levels / 255, np.clip(track.point_permittivity[0], 1.5, 5.0), atol=0.51 * 3.5 / 255
+    )
 
 
 def test_page_needs_nothing_from_elsewhere(tmp_path):
     page = write(tmp_path / "report.html", made_up_track(1))
-    assert not re.search(r'(src|href)\s*=|https?://|@import|url\(|fetch\(|XMLHttpRequest', page)
+    assert not re.search(r"(src|href)\s*=|https?://|@import|url\(|fetch\(|XMLHttpRequest", page)
 
 
 def test_text_cannot_break_out_of_the_payload(tmp_path):

@@ -28,15 +28,23 @@ class Field(NamedTuple):
     path: str
     type: str
     default: Any
-    bounds: tuple[float, float] | None
+    bounds: tuple[int | float, int | float] | None
     unit: str
     doc: str
 
 
 def describe() -> list[Field]:
     """Every field, in the order in which a configuration holds them."""
-    return [Field("preset", _named(hints(schema.Config)["preset"]), schema.Config.preset, None, "",
-                  "The preset that it began as.")] + list(_sections())
+    return [
+        Field(
+            "preset",
+            _named(hints(schema.Config)["preset"]),
+            schema.Config.preset,
+            None,
+            "",
+            "The preset that it began as.",
+        )
+    ] + list(_sections())
 
 
 def _sections() -> Iterator[Field]:
@@ -48,9 +56,14 @@ def _sections() -> Iterator[Field]:
         for each in fields(kind):
             hint = hints(kind)[each.name]
             bounds = bounds_of(hint)
-            yield Field(f"{part.name}.{each.name}", _named(hint), each.default,
-                        (bounds.low, bounds.high) if bounds else None, bounds.unit if bounds else "",
-                        docs.get(each.name, ""))
+            yield Field(
+                f"{part.name}.{each.name}",
+                _named(hint),
+                each.default,
+                (bounds.low, bounds.high) if bounds else None,
+                bounds.unit if bounds else "",
+                docs.get(each.name, ""),
+            )
 
 
 def _named(hint: Any) -> str:
@@ -72,7 +85,11 @@ def _docs(kind: str) -> dict[str, str]:
     body = next(node.body for node in tree.body if isinstance(node, ast.ClassDef) and node.name == kind)
     found = {}
     for line, below in zip(body, body[1:]):
-        if (isinstance(line, ast.AnnAssign) and isinstance(line.target, ast.Name) and isinstance(below, ast.Expr)
-                and isinstance(below.value, ast.Constant)):
+        if (
+            isinstance(line, ast.AnnAssign)
+            and isinstance(line.target, ast.Name)
+            and isinstance(below, ast.Expr)
+            and isinstance(below.value, ast.Constant)
+        ):
             found[line.target.id] = " ".join(str(below.value.value).split())
     return found

@@ -31,8 +31,8 @@ class Bounds(NamedTuple):
         why: the reason of an end that is not obvious.
     """
 
-    low: float
-    high: float
+    low: int | float
+    high: int | float
     unit: str = ""
     why: str = ""
 
@@ -42,11 +42,14 @@ class Bounds(NamedTuple):
         return f"must lie in {self}"
 
     def __str__(self) -> str:
-        return (f"{self.low:.10g} to {self.high:.10g}" + (f" {self.unit}" if self.unit else "")
-                + (f" ({self.why})" if self.why else ""))
+        return (
+            f"{self.low:.10g} to {self.high:.10g}"
+            + (f" {self.unit}" if self.unit else "")
+            + (f" ({self.why})" if self.why else "")
+        )
 
 
-def within(low: float, high: float, unit: str = "", why: str = "") -> Bounds:
+def within(low: int | float, high: int | float, unit: str = "", why: str = "") -> Bounds:
     """A note: numbers from ``low`` to ``high``, both included."""
     return Bounds(low, high, unit, why)
 
@@ -89,7 +92,7 @@ def hints(kind: type) -> dict[str, Any]:
     """Name -> annotation of the fields of a dataclass, notes included; worked out once."""
     if kind not in _HINTS:
         found = get_type_hints(kind, include_extras=True)
-        _HINTS[kind] = {each.name: found[each.name] for each in dataclasses.fields(kind)}  # type: ignore[arg-type]
+        _HINTS[kind] = {each.name: found[each.name] for each in dataclasses.fields(kind)}
     return _HINTS[kind]
 
 
@@ -122,7 +125,7 @@ def checked(hint: Any, value: Any, where: str) -> Any:
 
 
 def near(word: str, known: Sequence[str]) -> str:
-    """"did you mean 'x'?" for the known word that is nearest, or nothing."""
+    """ "did you mean 'x'?" for the known word that is nearest, or nothing."""
     found = difflib.get_close_matches(word, known, n=1)
     return f"did you mean {found[0]!r}?" if found else ""
 
@@ -138,8 +141,10 @@ def _typed(base: Any, value: Any, where: str) -> Any:
     if get_origin(base) is Literal:
         if value not in get_args(base):
             hint = near(str(value), get_args(base))
-            raise ConfigError(f"{where}: unknown value {value!r}; {hint + ' ' if hint else ''}"
-                              f"choose one of {', '.join(get_args(base))}")
+            raise ConfigError(
+                f"{where}: unknown value {value!r}; {hint + ' ' if hint else ''}"
+                f"choose one of {', '.join(get_args(base))}"
+            )
         return value
     if get_origin(base) is tuple:
         return _list(get_args(base), value, where)

@@ -8,8 +8,16 @@ from typing import Any
 
 from august_jax.config.fields import ConfigError, near
 from august_jax.config.schema import (
-    ArrayConfig, Config, DataConfig, EvaluateConfig, FlightConfig, ModelConfig, RegionConfig, SignalConfig,
-    TargetConfig, TrainConfig,
+    ArrayConfig,
+    Config,
+    DataConfig,
+    EvaluateConfig,
+    FlightConfig,
+    ModelConfig,
+    RegionConfig,
+    SignalConfig,
+    TargetConfig,
+    TrainConfig,
 )
 from august_jax.config.text import override
 from august_jax.config.ties import DATA_SECTIONS, check_data
@@ -53,11 +61,18 @@ def _laptop() -> Config:
         region=RegionConfig(scale_m=0.75),
         data=DataConfig(count=200_000, observed=False),
         model=ModelConfig(
-            encoder="roi", latent=64, flow_layers=6, flow_features=64, fourier=4,
-            denoiser=(64, 128, 256, 256, 128, 64), time_embedding="log_snr", frame="craft",
+            encoder="roi",
+            latent=64,
+            flow_layers=6,
+            flow_features=64,
+            fourier=4,
+            denoiser=(64, 128, 256, 256, 128, 64),
+            time_embedding="log_snr",
+            frame="craft",
         ),
-        train=TrainConfig(steps=12_000, batch=256, points=6, learning_rate=(1e-3, 1e-5), reobserve=True,
-                          weight_readout=1.0),
+        train=TrainConfig(
+            steps=12_000, batch=256, points=6, learning_rate=(1e-3, 1e-5), reobserve=True, weight_readout=1.0
+        ),
     )
 
 
@@ -69,8 +84,17 @@ def _smoke(laptop: Config) -> Config:
         target=TargetConfig(airframes=("quad_x", "hexa"), cell_m=0.03, max_cells=200, points=64),
         flight=replace(laptop.flight, slots=8),
         data=DataConfig(count=64, shard_rows=32, observed=False),
-        model=replace(laptop.model, channel_features=32, encoder_features=32, encoder_layers=2, latent=8,
-                      flow_layers=2, flow_features=16, denoiser=(16, 32, 16), steps=20),
+        model=replace(
+            laptop.model,
+            channel_features=32,
+            encoder_features=32,
+            encoder_layers=2,
+            latent=8,
+            flow_layers=2,
+            flow_features=16,
+            denoiser=(16, 32, 16),
+            steps=20,
+        ),
         train=replace(laptop.train, steps=20, batch=16, points=16, log_every=5, save_every=10),
         evaluate=EvaluateConfig(snr_db=(10.0, 30.0), count=8, sampler_steps=4),
     )
@@ -94,7 +118,7 @@ PRESETS: dict[str, Preset] = {
         command=_command("laptop", "august_runs/laptop --seed 1 evaluate.count=200"),
         time="simulate: half an hour on two CPU cores (104 samples/s); train: august train says the time left",
         expected="at 20 dB MPE 0.12 to 0.14 m where answering the prediction errs by 0.473 m (the shipped weights, "
-                 "trained in two runs: 0.118 m, MDE 0.032, WD -16.0 dB; five real drones in one run: 0.138 m)",
+        "trained in two runs: 0.118 m, MDE 0.032, WD -16.0 dB; five real drones in one run: 0.138 m)",
     ),
     "paper": Preset(
         summary="the paper's numbers, to the letter; one GPU",
@@ -115,13 +139,15 @@ def preset(name: str) -> Config:
     """
     if name not in PRESETS:
         hint = near(name, list(PRESETS))
-        raise ConfigError(f"preset: unknown preset {name!r}; {hint + ' ' if hint else ''}"
-                          f"choose one of {', '.join(PRESETS)}")
+        raise ConfigError(
+            f"preset: unknown preset {name!r}; {hint + ' ' if hint else ''}choose one of {', '.join(PRESETS)}"
+        )
     return PRESETS[name].config
 
 
-def training_config(made: Config, assignments: Sequence[str] = (), *, name: str | None = None,
-                    data: Any = "the data") -> Config:
+def training_config(
+    made: Config, assignments: Sequence[str] = (), *, name: str | None = None, data: Any = "the data"
+) -> Config:
     """The configuration to train with on data: networks and training of their preset, all else as they were made.
 
     Args:
@@ -135,8 +161,10 @@ def training_config(made: Config, assignments: Sequence[str] = (), *, name: str 
     """
     if name is not None and name != made.preset:
         preset(name)
-        raise ConfigError(f"preset: {name!r}, but {data} was made with preset {made.preset!r}\n"
-                          f"ask for {made.preset!r}, or make other data")
+        raise ConfigError(
+            f"preset: {name!r}, but {data} was made with preset {made.preset!r}\n"
+            f"ask for {made.preset!r}, or make other data"
+        )
     sections = {section: getattr(made, section) for section in DATA_SECTIONS}
     config = override(replace(preset(made.preset), **sections), assignments)
     check_data(config, made, data)

@@ -11,9 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Annotated, Literal, get_args
 
-from august_jax.config.fields import (
-    Bounds, Section, bounds_of, checked, filled, hints, near, rising, within,
-)
+from august_jax.config.fields import Bounds, Section, bounds_of, checked, filled, hints, near, rising, within
 from august_jax.config.ties import check_ties
 
 PresetName = Literal["smoke", "laptop", "paper"]
@@ -59,8 +57,10 @@ def _airframe(name: str) -> str | None:
     if name in get_args(Family) or "." in name or "/" in name:
         return None
     hint = near(name, get_args(Family))
-    return (f"is neither a family nor a mesh file; {hint + ' ' if hint else ''}"
-            f"families: {', '.join(get_args(Family))}; a file has a suffix, such as drone.stl")
+    return (
+        f"is neither a family nor a mesh file; {hint + ' ' if hint else ''}"
+        f"families: {', '.join(get_args(Family))}; a file has a suffix, such as drone.stl"
+    )
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,12 @@ class TargetConfig(Section):
     """What flies: airframes, their lattice of cells and the range of their materials (paper, Section VI-A)."""
 
     airframes: Annotated[tuple[Annotated[str, _airframe], ...], filled] = (
-        "quad_x", "quad_plus", "hexa", "octo", "coaxial_y6")
+        "quad_x",
+        "quad_plus",
+        "hexa",
+        "octo",
+        "coaxial_y6",
+    )
     """Names of procedural families, or paths of mesh files, after which unit and axes may stand
     (``"drone.stl?unit=mm&up=y&forward=-z"``, in double quotes)."""
     half_wheelbase_m: Annotated[float, within(0.01, 50.0, "m")] = 0.25

@@ -12,7 +12,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from august_jax.config.fields import ConfigError, hints, near, parted
+from august_jax.config.fields import ConfigError, checked, hints, near, parted
 from august_jax.config.schema import Config
 
 
@@ -32,8 +32,9 @@ def override(config: Config, assignments: Sequence[str]) -> Config:
         if not separator:
             raise ConfigError(f"override {text!r} is not of the form section.field=value, e.g. train.steps=2000")
         if path == "preset":
-            raise ConfigError(f"preset: {raw!r} cannot be an override; a preset is what overrides change, so begin "
-                              "with that one")
+            raise ConfigError(
+                f"preset: {raw!r} cannot be an override; a preset is what overrides change, so begin with that one"
+            )
         *parents, leaf = path.split(".")
         node: Any = tree
         for depth, key in enumerate([*parents, leaf]):
@@ -91,14 +92,17 @@ def read(path: str | os.PathLike[str]) -> Config:
     try:
         return from_yaml(Path(path).read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
-        raise ConfigError(f"{path}: {error}\nit is damaged, edited or of another version; correct it, or make that "
-                          "folder again") from None
+        raise ConfigError(
+            f"{path}: {error}\nit is damaged, edited or of another version; correct it, or make that folder again"
+        ) from None
 
 
 def digest(*parts: Any) -> str:
     """Sixteen hexadecimal digits that identify configuration sections and plain values by content."""
-    plain = [dataclasses.asdict(part) if dataclasses.is_dataclass(part) and not isinstance(part, type) else part
-             for part in parts]
+    plain = [
+        dataclasses.asdict(part) if dataclasses.is_dataclass(part) and not isinstance(part, type) else part
+        for part in parts
+    ]
     return hashlib.sha256(json.dumps(plain, sort_keys=True).encode()).hexdigest()[:16]
 
 
@@ -108,8 +112,9 @@ def data_digest(config: Config) -> str:
     Region and signal are part of it where samples keep what the base station made of them.
     """
     seen = (config.region, config.signal) if config.data.observed else ()
-    return digest(config.array, config.target, config.flight, *seen,
-                  config.data.seed, config.data.solver, config.data.observed)
+    return digest(
+        config.array, config.target, config.flight, *seen, config.data.seed, config.data.solver, config.data.observed
+    )
 
 
 def _build(kind: type, tree: Mapping[str, Any], path: str) -> Any:
@@ -124,8 +129,9 @@ def _build(kind: type, tree: Mapping[str, Any], path: str) -> Any:
         if dataclasses.is_dataclass(wanted):
             if not isinstance(value, Mapping):
                 raise ConfigError(f"{where}: {value!r} is not a section; its fields are {where}.NAME")
-            value = _build(wanted, value, where + ".")  # type: ignore[arg-type]
-        values[key] = value
+            values[key] = _build(wanted, value, where + ".")  # type: ignore[arg-type]
+        else:
+            values[key] = checked(known[key], value, where)
     return kind(**values)
 
 
@@ -140,8 +146,9 @@ def _loaded(text: str, where: str) -> Any:
         line = f", line {mark.line + 1}" if mark is not None and "\n" in text else ""
         what = getattr(error, "problem", None) or str(error).splitlines()[0]
         marks = "; put a text with marks such as ? in double quotes" if "?" in what else ""
-        raise ConfigError(f"{where}: {text if len(text) < 60 else 'the text'!r} is not YAML ({what}{line}){marks}"
-                          ) from None
+        raise ConfigError(
+            f"{where}: {text if len(text) < 60 else 'the text'!r} is not YAML ({what}{line}){marks}"
+        ) from None
 
 
 @cache
@@ -153,7 +160,8 @@ def _loader() -> Any:
         def construct_yaml_int(self, node: Any) -> int:
             if re.match(r"[-+]?0[0-9_]", node.value):
                 raise yaml.constructor.ConstructorError(
-                    problem=f"{node.value} begins with a zero, which YAML takes for octal; leave the zero out")
+                    problem=f"{node.value} begins with a zero, which YAML takes for octal; leave the zero out"
+                )
             if ":" in node.value:
                 raise yaml.constructor.ConstructorError(problem=f"{node.value} would be a number of base 60")
             return int(super().construct_yaml_int(node))

@@ -30,33 +30,75 @@ def check_ties(config: Config) -> None:
     array, target, region, train = config.array, config.target, config.region, config.train
     reach = target.half_wheelbase_m + region.threshold_m
     ties = (
-        (array.count <= _MOST_ANTENNAS, "array.nx", array.nx,
-         f"times array.nz ({array.nz}) is more than {_MOST_ANTENNAS} antennas, a channel of 2 GB"),
-        (target.permittivity[1] > 1.0 or target.conductivity_s_m[1] > 0.0, "target.permittivity", target.permittivity,
-         f"with target.conductivity_s_m={shown(target.conductivity_s_m)} is that of air, whose echo is zero; raise "
-         "either"),
-        (region.scale_m >= (1.0 - 1e-6) * reach, "region.scale_m", region.scale_m,
-         f"must reach target.half_wheelbase_m + region.threshold_m; set region.scale_m={reach:g}"),
-        (target.permittivity[1] <= region.permittivity_max, "region.permittivity_max", region.permittivity_max,
-         f"must reach target.permittivity; set region.permittivity_max={target.permittivity[1]:g}"),
-        (target.conductivity_s_m[1] <= region.conductivity_max_s_m, "region.conductivity_max_s_m",
-         region.conductivity_max_s_m,
-         f"must reach target.conductivity_s_m; set region.conductivity_max_s_m={target.conductivity_s_m[1]:g}"),
-        (target.skin_m <= target.cell_m, "target.skin_m", target.skin_m,
-         f"must not exceed target.cell_m ({target.cell_m:g})"),
+        (
+            array.count <= _MOST_ANTENNAS,
+            "array.nx",
+            array.nx,
+            f"times array.nz ({array.nz}) is more than {_MOST_ANTENNAS} antennas, a channel of 2 GB",
+        ),
+        (
+            target.permittivity[1] > 1.0 or target.conductivity_s_m[1] > 0.0,
+            "target.permittivity",
+            target.permittivity,
+            f"with target.conductivity_s_m={shown(target.conductivity_s_m)} is that of air, whose echo is zero; raise "
+            "either",
+        ),
+        (
+            region.scale_m >= (1.0 - 1e-6) * reach,
+            "region.scale_m",
+            region.scale_m,
+            f"must reach target.half_wheelbase_m + region.threshold_m; set region.scale_m={reach:g}",
+        ),
+        (
+            target.permittivity[1] <= region.permittivity_max,
+            "region.permittivity_max",
+            region.permittivity_max,
+            f"must reach target.permittivity; set region.permittivity_max={target.permittivity[1]:g}",
+        ),
+        (
+            target.conductivity_s_m[1] <= region.conductivity_max_s_m,
+            "region.conductivity_max_s_m",
+            region.conductivity_max_s_m,
+            f"must reach target.conductivity_s_m; set region.conductivity_max_s_m={target.conductivity_s_m[1]:g}",
+        ),
+        (
+            target.skin_m <= target.cell_m,
+            "target.skin_m",
+            target.skin_m,
+            f"must not exceed target.cell_m ({target.cell_m:g})",
+        ),
         (config.data.split[0] > 0, "data.split", config.data.split, "needs a share for training, its first number"),
-        (config.signal.symbols == 0 or config.signal.symbols >= array.count, "signal.symbols", config.signal.symbols,
-         f"needs at least one symbol an antenna ({array.count}), or 0 for just that"),
-        (train.points <= target.points, "train.points", train.points,
-         f"must not exceed target.points ({target.points})"),
-        (train.reobserve or config.data.observed, "data.observed", config.data.observed,
-         "leaves out what training without train.reobserve learns from; set data.observed=true or "
-         "train.reobserve=true"),
-        (config.model.frame == "region" or train.weight_readout > 0.0, "model.frame", config.model.frame,
-         "is read from the latent; set train.weight_readout above 0, or model.frame=region"),
-        (config.evaluate.sampler != "dpm" or 2 <= config.evaluate.sampler_steps <= config.model.steps,
-         "evaluate.sampler_steps", config.evaluate.sampler_steps,
-         f"must lie between 2 and model.steps ({config.model.steps}) for the sampler dpm"),
+        (
+            config.signal.symbols == 0 or config.signal.symbols >= array.count,
+            "signal.symbols",
+            config.signal.symbols,
+            f"needs at least one symbol an antenna ({array.count}), or 0 for just that",
+        ),
+        (
+            train.points <= target.points,
+            "train.points",
+            train.points,
+            f"must not exceed target.points ({target.points})",
+        ),
+        (
+            train.reobserve or config.data.observed,
+            "data.observed",
+            config.data.observed,
+            "leaves out what training without train.reobserve learns from; set data.observed=true or "
+            "train.reobserve=true",
+        ),
+        (
+            config.model.frame == "region" or train.weight_readout > 0.0,
+            "model.frame",
+            config.model.frame,
+            "is read from the latent; set train.weight_readout above 0, or model.frame=region",
+        ),
+        (
+            config.evaluate.sampler != "dpm" or 2 <= config.evaluate.sampler_steps <= config.model.steps,
+            "evaluate.sampler_steps",
+            config.evaluate.sampler_steps,
+            f"must lie between 2 and model.steps ({config.model.steps}) for the sampler dpm",
+        ),
     )
     for good, path, value, why in ties:
         if not good:
@@ -86,8 +128,11 @@ def differences(first: Config, second: Config, below: Sequence[str]) -> list[tup
         Path, value in the first, value in the second.
     """
     left, right = leaves(first), leaves(second)
-    return [(path, left[path], right[path]) for path in left
-            if any(path == each or path.startswith(each + ".") for each in below) and left[path] != right[path]]
+    return [
+        (path, left[path], right[path])
+        for path in left
+        if any(path == each or path.startswith(each + ".") for each in below) and left[path] != right[path]
+    ]
 
 
 def check_data(config: Config, made: Config, data: Any = "the data") -> None:
@@ -104,12 +149,15 @@ def check_data(config: Config, made: Config, data: Any = "the data") -> None:
         ConfigError: the scheme needs what no data hold, or a field that the data depend on has another value.
     """
     if config.model.scheme == "refchannel":
-        raise ConfigError("model.scheme: refchannel learns from reference channels, which the data do not hold\n"
-                          "choose august, noebd or nolatent")
+        raise ConfigError(
+            "model.scheme: refchannel learns from reference channels, which the data do not hold\n"
+            "choose august, noebd or nolatent"
+        )
     fixed = [name for name in DATA_SECTIONS if not (config.train.reobserve and name in ("region", "signal"))]
     for path, has, wanted in differences(made, config, fixed):
-        raise ConfigError(f"{path}: {shown(wanted)}, but {data} was made with {shown(has)}\n"
-                          "keep that value, or make other data")
+        raise ConfigError(
+            f"{path}: {shown(wanted)}, but {data} was made with {shown(has)}\nkeep that value, or make other data"
+        )
 
 
 def check_weights(config: Config, trained: Config) -> None:
@@ -123,5 +171,7 @@ def check_weights(config: Config, trained: Config) -> None:
         ConfigError: a field that the weights are made for has another value.
     """
     for path, has, wanted in differences(trained, config, WEIGHTS_FIT):
-        raise ConfigError(f"{path}: {shown(wanted)}, but the weights were trained with {shown(has)} and only fit that\n"
-                          "keep that value, or train weights of your own")
+        raise ConfigError(
+            f"{path}: {shown(wanted)}, but the weights were trained with {shown(has)} and only fit that\n"
+            "keep that value, or train weights of your own"
+        )

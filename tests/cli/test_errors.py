@@ -50,15 +50,21 @@ CASES = {
     "frequency of X-rays": ("simulate --preset smoke array.frequency_hz=1e15", ["array.frequency_hz", "1e+12 Hz"]),
     "leading zero": ("simulate --preset smoke array.frequency_hz=011", ["array.frequency_hz", "011", "octal"]),
     "craft of one cell": ("simulate --preset smoke target.max_cells=1", ["target.max_cells", "8 to"]),
-    "craft of air": ("simulate --preset smoke target.permittivity=[1,1] target.conductivity_s_m=[0,0]",
-                     ["target.permittivity", "target.conductivity_s_m", "echo is zero"]),
+    "craft of air": (
+        "simulate --preset smoke target.permittivity=[1,1] target.conductivity_s_m=[0,0]",
+        ["target.permittivity", "target.conductivity_s_m", "echo is zero"],
+    ),
     "bad choice": ("simulate --preset smoke data.solver=magic", ["data.solver", "'magic'", "mom, krylov"]),
     "bad list": ("simulate --preset smoke evaluate.snr_db=20", ["evaluate.snr_db", "[a,b]"]),
     "no such airframe": ("simulate --preset smoke target.airframes=[quadx]", ["quadx", "did you mean 'quad_x'"]),
-    "typo in a list": ("simulate --preset smoke target.airframes=[quad_x,hexq]",
-                       ["target.airframes[1]", "hexq", "did you mean 'hexa'"]),
-    "observations that are not kept": ("simulate --preset smoke train.reobserve=false",
-                                       ["data.observed", "data.observed=true"]),
+    "typo in a list": (
+        "simulate --preset smoke target.airframes=[quad_x,hexq]",
+        ["target.airframes[1]", "hexq", "did you mean 'hexa'"],
+    ),
+    "observations that are not kept": (
+        "simulate --preset smoke train.reobserve=false",
+        ["data.observed", "data.observed=true"],
+    ),
     "no such run": ("evaluate {tmp}/nowhere", ["{tmp}/nowhere", "august train"]),
     "no such run, as an option": ("evaluate --run {tmp}/nowhere", ["{tmp}/nowhere", "august train"]),
     "no such run for demo": ("demo --run {tmp}/nowhere", ["{tmp}/nowhere", "august train"]),
@@ -133,18 +139,23 @@ def test_overrides_mix_with_options():
 OPTIONS = ("--position", "--snr", "--half-wheelbase", "--unit", "--pitch", "--roll")
 
 
-@pytest.mark.parametrize(("message", "wanted"), [
-    ("snr_db: 300 dB is too much", "--snr: 300 dB is too much"),
-    ("pitch_deg, roll_deg: 50 and 3", "--pitch, --roll: 50 and 3"),
-    ("unit='furlong': choose one of m, cm", "--unit 'furlong': choose one of m, cm"),
-    ("position: outside; choose position=(5.0, 6.0, 3.5)", "--position: outside; choose --position 5.0,6.0,3.5"),
-    ("half_wheelbase_m: 2; set half_wheelbase_m=0.25, or check unit", "--half-wheelbase: 2; set --half-wheelbase 0.25, "
-                                                                      "or check unit"),
-    # not the option's business: fields, paths, arguments that this command has no option for
-    ("data.seed: 3; set data.seed=4", "data.seed: 3; set data.seed=4"),
-    ("/tmp/unit=3/file: damaged", "/tmp/unit=3/file: damaged"),
-    ("seed: 3; set seed=4", "seed: 3; set seed=4"),
-])
+@pytest.mark.parametrize(
+    ("message", "wanted"),
+    [
+        ("snr_db: 300 dB is too much", "--snr: 300 dB is too much"),
+        ("pitch_deg, roll_deg: 50 and 3", "--pitch, --roll: 50 and 3"),
+        ("unit='furlong': choose one of m, cm", "--unit 'furlong': choose one of m, cm"),
+        ("position: outside; choose position=(5.0, 6.0, 3.5)", "--position: outside; choose --position 5.0,6.0,3.5"),
+        (
+            "half_wheelbase_m: 2; set half_wheelbase_m=0.25, or check unit",
+            "--half-wheelbase: 2; set --half-wheelbase 0.25, or check unit",
+        ),
+        # not the option's business: fields, paths, arguments that this command has no option for
+        ("data.seed: 3; set data.seed=4", "data.seed: 3; set data.seed=4"),
+        ("/tmp/unit=3/file: damaged", "/tmp/unit=3/file: damaged"),
+        ("seed: 3; set seed=4", "seed: 3; set seed=4"),
+    ],
+)
 def test_arguments_of_the_library_become_options(message, wanted):
     assert in_flags(message, OPTIONS) == wanted
 

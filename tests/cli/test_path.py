@@ -159,7 +159,7 @@ def test_export_of_a_flight(capsys, flown, tmp_path, kind, count):
 @pytest.mark.parametrize("content", [b"", b"junk", b"PK\x03\x04 torn"])
 def test_export_of_a_damaged_result_names_the_file(capsys, tmp_path, content):
     (tmp_path / "clouds.npz").write_bytes(content)
-    assert "clouds.npz is damaged" in refused(capsys, "export", tmp_path, "--format", "ply")
+    assert "clouds.npz: is damaged" in refused(capsys, "export", tmp_path, "--format", "ply")
 
 
 def test_export_of_a_sample_is_the_sample(capsys, home, tmp_path):

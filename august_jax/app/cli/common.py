@@ -13,8 +13,12 @@ from august_jax.config import Config, ConfigError
 if TYPE_CHECKING:
     from august_jax.pipeline import Networks
 
-_MARKS = {"manifest.json": "august simulate", "checkpoints": "august train", "weights.npz": "august train",
-          "clouds.npz": "august demo or august reconstruct"}
+_MARKS = {
+    "manifest.json": "august simulate",
+    "checkpoints": "august train",
+    "weights.npz": "august train",
+    "clouds.npz": "august demo or august reconstruct",
+}
 """What is in a folder -> which command keeps its config.yaml there."""
 
 
@@ -26,12 +30,16 @@ def folder(args: argparse.Namespace, default: str, *, configured: bool = False) 
     out = Path(args.out or default)
     for mark, owner in _MARKS.items():
         if configured and (out / mark).exists() and f"august {args.command}" not in owner:
-            raise ConfigError(f"--out: {out} holds what {owner} wrote ({mark}), which august {args.command} would "
-                              "damage; choose another folder")
+            raise ConfigError(
+                f"--out: {out} holds what {owner} wrote ({mark}), which august {args.command} would "
+                "damage; choose another folder"
+            )
     parent = next(path for path in (out, *out.absolute().parents) if path.exists())
     if not parent.is_dir() or not os.access(parent, os.W_OK):
-        raise ConfigError(f"--out: nothing can be written to {out}, because {parent} is "
-                          f"{'read-only' if parent.is_dir() else 'a file'}; choose another folder")
+        raise ConfigError(
+            f"--out: nothing can be written to {out}, because {parent} is "
+            f"{'read-only' if parent.is_dir() else 'a file'}; choose another folder"
+        )
     return out
 
 

@@ -24,8 +24,10 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
     failed = [check.name for check in checks if check.passed is False]
     if not failed:
         say(args, "all is well; next: august demo")
-    return {"checks": [check._asdict() for check in checks],
-            "failed": f"failed: {', '.join(failed)}; the lines above say why" if failed else None}
+    return {
+        "checks": [check._asdict() for check in checks],
+        "failed": f"failed: {', '.join(failed)}; the lines above say why" if failed else None,
+    }
 
 
 COMMAND = Command("check this installation", _arguments, _run, configured=False)

@@ -6,16 +6,18 @@ import argparse
 import json
 from typing import Any
 
+from august_jax import config as configuration
 from august_jax.app.cli.common import chosen_weights, folder
-from august_jax.app.cli.messages import UsageError, note, say, scheme_table
+from august_jax.app.cli.messages import UsageError, command_line, note, say, scheme_table
 from august_jax.app.cli.parser import Command, whole
 
 
 def _arguments(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(places=1)
     parser.usage = f"{parser.prog} [RUN] [options] [section.field=value ...]"
-    parser.add_argument("--run", metavar="RUN", help="the same as RUN: weights of your own training run (default: the "
-                                                     "shipped ones)")
+    parser.add_argument(
+        "--run", metavar="RUN", help="the same as RUN: weights of your own training run (default: the shipped ones)"
+    )
     parser.add_argument("--seed", type=whole(), default=1, metavar="N", help="of the fresh samples (default 1)")
 
 
@@ -29,10 +31,14 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
         raise UsageError(f"{args.rest[0]!r}: the run is already given as --run {args.run}; name one")
     networks, config = chosen_weights(args, args.run or (args.rest[0] if args.rest else None))
     rows = evaluation.evaluate(networks, config, seed=args.seed, progress=note)
-    result = {"weights": networks.name, "seed": args.seed, "rows": rows}
+    made = {"command_line": command_line(*args.words), "configuration": configuration.to_dict(config)}
+    result = {"weights": networks.name, "seed": args.seed, **made, "rows": rows}
     write_text(out / "evaluation.json", json.dumps(result, indent=1, allow_nan=False))
-    plotting.evaluation_curves(rows, out / "evaluation.png",
-                               title=f"{networks.name}, seed {args.seed}, {config.evaluate.count} samples at each SNR")
+    plotting.evaluation_curves(
+        rows,
+        out / "evaluation.png",
+        title=f"{networks.name}, seed {args.seed}, {config.evaluate.count} samples at each SNR",
+    )
     say(args, scheme_table(rows, snr=True))
     say(args, f"\n{evaluation.NOTE}\nwritten: {out / 'evaluation.json'}, {out / 'evaluation.png'}")
     return {"out": str(out), **result}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +17,13 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(places=1)
     parser.usage = f"{parser.prog} SOURCE --format FORMAT [options]"
     parser.add_argument("--format", required=True, metavar="FORMAT", help="ply, npz, mat or json")
-    parser.add_argument("--index", type=whole(-(2**31)), default=-1, metavar="N",
-                        help="slot of a result, or sample of a data set (default: the last)")
+    parser.add_argument(
+        "--index",
+        type=whole(-(2**31)),
+        default=-1,
+        metavar="N",
+        help="slot of a result, or sample of a data set (default: the last)",
+    )
 
 
 def _run(args: argparse.Namespace) -> dict[str, Any]:
@@ -28,8 +32,9 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
     if args.format not in FORMATS:
         raise ConfigError(f"--format: unknown format {args.format!r}; choose one of {', '.join(FORMATS)}")
     if not args.rest:
-        raise UsageError("SOURCE is missing: a folder that august demo, reconstruct or simulate wrote\n"
-                          "see: august export --help")
+        raise UsageError(
+            "SOURCE is missing: a folder that august demo, reconstruct or simulate wrote\nsee: august export --help"
+        )
     source, out = Path(args.rest[0]), folder(args, "august_export")
     index, record, clouds = _source(source, args.index)
     name = f"{source.resolve().name}_{index:05d}"
@@ -48,22 +53,31 @@ def _source(source: Path, index: int) -> tuple[int, dict[str, Any], dict[str, tu
     """Number, record and clouds (points, permittivity, conductivity) of one slot of a result or one sample."""
     import numpy as np
 
+    from august_jax.files import DamagedFile, read_npz
     from august_jax.pipeline import Track
 
     if (source / "clouds.npz").is_file():
         try:
-            with (source / "clouds.npz").open("rb") as file, np.load(file) as stored:
-                whole = {each.name: stored[each.name] for each in dataclasses.fields(Track)}
-        except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
-            raise ConfigError(f"SOURCE: {source / 'clouds.npz'} is damaged ({type(error).__name__}); make it again "
-                              "with august demo or august reconstruct") from None
+            stored = read_npz(source / "clouds.npz")
+            whole = {each.name: stored[each.name] for each in dataclasses.fields(Track)}
+        except DamagedFile as error:
+            raise ConfigError(f"SOURCE: {error}; make it again with august demo or august reconstruct") from None
+        except KeyError as error:
+            raise ConfigError(
+                f"SOURCE: {source / 'clouds.npz'} is of another version, without {error}; make it again with august "
+                "demo or august reconstruct"
+            ) from None
         index = _place(index, len(whole["time_s"]), source)
         record = {name: value[index] if np.ndim(value) else value for name, value in whole.items()}
         material = record["permittivity"], record["conductivity"]
-        return index, record, {
-            "true": (record["truth"], *material),
-            "reconstructed": (record["points"], record["point_permittivity"], record["point_conductivity"]),
-        }
+        return (
+            index,
+            record,
+            {
+                "true": (record["truth"], *material),
+                "reconstructed": (record["points"], record["point_permittivity"], record["point_conductivity"]),
+            },
+        )
     if (source / "manifest.json").is_file():
         from august_jax.data import Dataset, unpack
 
@@ -74,8 +88,10 @@ def _source(source: Path, index: int) -> tuple[int, dict[str, Any], dict[str, tu
             record[name] = unpack(record[name])
         cloud = record["points"] + record["position"]
         return index, record, {"true": (cloud, record["permittivity"], record["conductivity"])}
-    raise ConfigError(f"SOURCE: {source} holds neither clouds.npz nor manifest.json\n"
-                      "give a folder that august demo, august reconstruct or august simulate wrote")
+    raise ConfigError(
+        f"SOURCE: {source} holds neither clouds.npz nor manifest.json\n"
+        "give a folder that august demo, august reconstruct or august simulate wrote"
+    )
 
 
 def _place(index: int, count: int, source: Path) -> int:

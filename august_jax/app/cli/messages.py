@@ -15,13 +15,36 @@ from august_jax.app.devices import describe_backend_error
 
 _MOST_LINES = 6
 FLAGS = {
-    "airframe": "--airframe", "conductivity": "--conductivity", "data": "--data", "folder": "--out",
-    "forward": "--forward", "half_wheelbase": "--half-wheelbase", "half_wheelbase_m": "--half-wheelbase",
-    "index": "--index", "mesh": "--mesh", "out_dir": "--out", "part": "--shard", "permittivity": "--permittivity",
-    "pitch": "--pitch", "pitch_deg": "--pitch", "position": "--position", "position_m": "--position",
-    "preset": "--preset", "roll": "--roll", "roll_deg": "--roll", "run": "--run", "seed": "--seed", "shard": "--shard",
-    "slots": "--slots", "snr": "--snr", "snr_db": "--snr", "unit": "--unit", "up": "--up", "weights": "--init",
-    "yaw": "--yaw", "yaw_deg": "--yaw",
+    "airframe": "--airframe",
+    "conductivity": "--conductivity",
+    "data": "--data",
+    "folder": "--out",
+    "forward": "--forward",
+    "half_wheelbase": "--half-wheelbase",
+    "half_wheelbase_m": "--half-wheelbase",
+    "index": "--index",
+    "mesh": "--mesh",
+    "out_dir": "--out",
+    "part": "--shard",
+    "permittivity": "--permittivity",
+    "pitch": "--pitch",
+    "pitch_deg": "--pitch",
+    "position": "--position",
+    "position_m": "--position",
+    "preset": "--preset",
+    "roll": "--roll",
+    "roll_deg": "--roll",
+    "run": "--run",
+    "seed": "--seed",
+    "shard": "--shard",
+    "slots": "--slots",
+    "snr": "--snr",
+    "snr_db": "--snr",
+    "unit": "--unit",
+    "up": "--up",
+    "weights": "--init",
+    "yaw": "--yaw",
+    "yaw_deg": "--yaw",
 }
 """Argument of the library -> option that gives it. The library's messages name arguments; here alone are they
 translated."""
@@ -69,6 +92,7 @@ def in_flags(text: str, options: Collection[str]) -> str:
         text: the message.
         options: those that the command takes; arguments that it gets otherwise keep their names.
     """
+
     def named(found: re.Match[str]) -> str:
         flags = [FLAGS[name] for name in found[1].split(", ")]
         return ", ".join(flags) if set(flags) <= set(options) else found[0]
@@ -78,7 +102,7 @@ def in_flags(text: str, options: Collection[str]) -> str:
         return f"{flag} {found[2].strip('()').replace(', ', ',')}" if flag in options else found[0]
 
     lead = _LEADING.match(text)
-    return (named(lead) if lead else "") + _GIVEN.sub(given, text[lead.end() if lead else 0:])
+    return (named(lead) if lead else "") + _GIVEN.sub(given, text[lead.end() if lead else 0 :])
 
 
 def told(error: Exception, options: Collection[str] = ()) -> str:
@@ -101,27 +125,52 @@ def told(error: Exception, options: Collection[str] = ()) -> str:
         text = f"unexpected {type(error).__name__}: {text}\nadd --debug to see where"
     elif isinstance(error, ValueError):
         text = in_flags(text, options)
-    lines = [part for line in f"august: {text or type(error).__name__}".splitlines() if line.strip()
-             for part in textwrap.wrap(line, 160, break_long_words=False, subsequent_indent="  ")]
-    return "\n".join(lines if len(lines) <= _MOST_LINES else [*lines[:_MOST_LINES - 1], "  ..."])
+    lines = [
+        part
+        for line in f"august: {text or type(error).__name__}".splitlines()
+        if line.strip()
+        for part in textwrap.wrap(line, 160, break_long_words=False, subsequent_indent="  ")
+    ]
+    return "\n".join(lines if len(lines) <= _MOST_LINES else [*lines[: _MOST_LINES - 1], "  ..."])
 
 
 def table(rows: Sequence[Sequence[str]]) -> str:
     """Rows of cells, aligned: the first column to the left, the others to the right."""
     widths = [max(map(len, column)) for column in zip(*rows)]
-    return "\n".join("  ".join(cell.ljust(width) if index == 0 else cell.rjust(width)
-                               for index, (cell, width) in enumerate(zip(row, widths))).rstrip() for row in rows)
+    return "\n".join(
+        "  ".join(
+            cell.ljust(width) if index == 0 else cell.rjust(width)
+            for index, (cell, width) in enumerate(zip(row, widths))
+        ).rstrip()
+        for row in rows
+    )
 
 
 def scheme_table(rows: Sequence[dict[str, Any]], *, snr: bool) -> str:
     """Rows of metrics as text; with ``snr``, each with its SNR and the bound."""
-    columns = [("MPE [m]", "mpe_m", 3), ("+-", "mpe_se_m", 3), ("MDE", "mde", 4), ("triples", "mde_triples", 4),
-               ("WD [dB]", "wd_db", 1), ("MCD [dB]", "mcd_db", 1)]
+    columns = [
+        ("MPE [m]", "mpe_m", 3),
+        ("+-", "mpe_se_m", 3),
+        ("MDE", "mde", 4),
+        ("triples", "mde_triples", 4),
+        ("WD [dB]", "wd_db", 1),
+        ("MCD [dB]", "mcd_db", 1),
+    ]
     if snr:
-        columns = [("SNR [dB]", "snr_db", 0), *columns, ("along [m]", "along_m", 3), ("across", "across_m", 3),
-                   ("bound [m]", "bound_m", 3), ("of MDE", "bound_mde", 4)]
-    return table([["scheme", *(title for title, _, _ in columns)],
-                  *([row["scheme"], *(_cell(row[name], digits) for _, name, digits in columns)] for row in rows)])
+        columns = [
+            ("SNR [dB]", "snr_db", 0),
+            *columns,
+            ("along [m]", "along_m", 3),
+            ("across", "across_m", 3),
+            ("bound [m]", "bound_m", 3),
+            ("of MDE", "bound_mde", 4),
+        ]
+    return table(
+        [
+            ["scheme", *(title for title, _, _ in columns)],
+            *([row["scheme"], *(_cell(row[name], digits) for _, name, digits in columns)] for row in rows),
+        ]
+    )
 
 
 def _cell(value: float | None, digits: int) -> str:

@@ -21,9 +21,16 @@ _SIGNED = ("--position", "--up", "--forward", "--yaw", "--pitch", "--roll", "--s
 
 def presets_help() -> str:
     """The presets with what they take and what to expect, for the end of a command's help."""
-    lines = [line for name, each in configuration.PRESETS.items() for line in textwrap.wrap(
-        f"{name}: {each.summary}. Takes: {each.time}. Expect: {each.expected}.", 100, initial_indent="  ",
-        subsequent_indent="    ")]
+    lines = [
+        line
+        for name, each in configuration.PRESETS.items()
+        for line in textwrap.wrap(
+            f"{name}: {each.summary}. Takes: {each.time}. Expect: {each.expected}.",
+            100,
+            initial_indent="  ",
+            subsequent_indent="    ",
+        )
+    ]
     return "\n".join(["presets:", *lines])
 
 
@@ -69,10 +76,14 @@ def parse(words: Sequence[str], commands: Mapping[str, Command]) -> argparse.Nam
         UsageError: the words do not fit.
     """
     top = _Parser(
-        prog="august", formatter_class=argparse.RawDescriptionHelpFormatter, add_help=True, allow_abbrev=False,
+        prog="august",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        add_help=True,
+        allow_abbrev=False,
         usage="august COMMAND [options] [section.field=value ...]",
         description="Sense a drone with one antenna array: simulate its echo, reconstruct its 5-D point cloud.",
-        epilog="commands:\n" + "\n".join(f"  {name:12s} {each.summary}" for name, each in commands.items())
+        epilog="commands:\n"
+        + "\n".join(f"  {name:12s} {each.summary}" for name, each in commands.items())
         + "\n\nstart here: august demo\neach command explains itself: august COMMAND --help",
     )
     top.add_argument("--version", action="version", version=f"august_jax {__version__}")
@@ -87,37 +98,52 @@ def parse(words: Sequence[str], commands: Mapping[str, Command]) -> argparse.Nam
     name = words[0]
     if name not in commands:
         near = difflib.get_close_matches(name, commands, n=1)
-        raise UsageError(f"unknown command {name!r}; " + (f"did you mean {near[0]!r}? " if near else "")
-                         + f"choose one of {', '.join(commands)}")
+        raise UsageError(
+            f"unknown command {name!r}; "
+            + (f"did you mean {near[0]!r}? " if near else "")
+            + f"choose one of {', '.join(commands)}"
+        )
     command = commands[name]
-    parser = _Parser(prog=f"august {name}", description=command.summary, allow_abbrev=False,
-                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = _Parser(
+        prog=f"august {name}",
+        description=command.summary,
+        allow_abbrev=False,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
     command.arguments(parser)
     if command.configured:
         parser.add_argument("--preset", metavar="NAME", help=f"one of {', '.join(configuration.PRESETS)}")
     parser.add_argument("--out", metavar="DIR", help="where to write")
     parser.add_argument("--json", action="store_true", help="the result as JSON on stdout")
     parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
-    parser.add_argument("rest", nargs="*", metavar="section.field=value",
-                        help="overrides of the configuration" if command.configured else argparse.SUPPRESS)
+    parser.add_argument(
+        "rest",
+        nargs="*",
+        metavar="section.field=value",
+        help="overrides of the configuration" if command.configured else argparse.SUPPRESS,
+    )
     try:
         args = parser.parse_intermixed_args(_join_signed(words[1:]))
     except SystemExit:
         return None
     for each, value in vars(args).items():
         if value == "":
-            raise UsageError(f"--{each.replace('_', '-')}: '' is empty; leave it out, or give a value\n"
-                             f"see: august {name} --help")
+            raise UsageError(
+                f"--{each.replace('_', '-')}: '' is empty; leave it out, or give a value\nsee: august {name} --help"
+            )
     args.command, args.options, args.words = name, tuple(_options(parser)), tuple(words)
     args.overrides = [text for text in args.rest if _ASSIGNMENT.match(text)]
     args.rest = [text for text in args.rest if not _ASSIGNMENT.match(text)]
     if args.overrides and not command.configured:
-        raise UsageError(f"{args.overrides[0]!r}: august {name} has no configuration to override\n"
-                         f"see: august {name} --help")
+        raise UsageError(
+            f"{args.overrides[0]!r}: august {name} has no configuration to override\nsee: august {name} --help"
+        )
     wanted = getattr(args, "places", 0)
     if len(args.rest) > wanted:
-        raise UsageError(f"{args.rest[wanted]!r}: unexpected argument; overrides are of the form section.field=value\n"
-                         f"see: august {name} --help")
+        raise UsageError(
+            f"{args.rest[wanted]!r}: unexpected argument; overrides are of the form section.field=value\n"
+            f"see: august {name} --help"
+        )
     return args
 
 
@@ -148,6 +174,7 @@ def numbers(count: int, bounds: Bounds | str) -> Callable[[str], tuple[float, ..
         if complaint:
             raise argparse.ArgumentTypeError(f"{text} {complaint}")
         return values
+
     return read
 
 
@@ -159,10 +186,12 @@ def number(bounds: Bounds | str) -> Callable[[str], float]:
 
 def whole(low: int = 0, high: int = 2**31 - 1) -> Callable[[str], int]:
     """An argparse type: a whole number from ``low`` to ``high``."""
+
     def read(text: str) -> int:
         if not re.fullmatch("-?[0-9]{1,20}", text) or not low <= int(text) <= high:
             raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from {low} to {high}")
         return int(text)
+
     return read
 
 
@@ -172,5 +201,3 @@ def part(text: str) -> tuple[int, int]:
     if not found or not 1 <= int(found[1]) <= int(found[2]):
         raise argparse.ArgumentTypeError(f"{text!r} is not of the form i/n with 1 <= i <= n, e.g. 1/4")
     return int(found[1]), int(found[2])
-
-

@@ -13,8 +13,11 @@ from august_jax.app.cli.parser import Command, part, presets_help
 def _arguments(parser: argparse.ArgumentParser) -> None:
     parser.epilog = presets_help()
     parser.add_argument("--shard", type=part, default=(1, 1), metavar="I/N", help="make the i-th of n parts alone")
-    parser.add_argument("--verify", action="store_true",
-                        help="read what is there, compare its check sums, and make damaged pieces again")
+    parser.add_argument(
+        "--verify",
+        action="store_true",
+        help="read what is there, compare its check sums, and make damaged pieces again",
+    )
 
 
 def _run(args: argparse.Namespace) -> dict[str, Any]:
@@ -24,13 +27,26 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
 
     manifest = simulate(config, out, part=args.shard, verify=args.verify, progress=note)
     done = manifest["rows"] >= manifest["wanted"]
-    say(args, f"{manifest['written']} samples written in {manifest['seconds']:.0f} s "
-              f"({manifest['samples_per_s']:.1f} samples/s); {out}/ now holds {manifest['rows']} of "
-              f"{manifest['wanted']}")
-    say(args, "next:  " + (command_line("train", "--preset", config.preset, "--data", str(out)) if done else
-                           "the other parts, with --shard, or the same command without it"))
-    return {"out": str(out), "digest": manifest["digest"],
-            **{name: manifest[name] for name in ("rows", "wanted", "written", "seconds", "samples_per_s")}}
+    say(
+        args,
+        f"{manifest['written']} samples written in {manifest['seconds']:.0f} s "
+        f"({manifest['samples_per_s']:.1f} samples/s); {out}/ now holds {manifest['rows']} of "
+        f"{manifest['wanted']}",
+    )
+    say(
+        args,
+        "next:  "
+        + (
+            command_line("train", "--preset", config.preset, "--data", str(out))
+            if done
+            else "the other parts, with --shard, or the same command without it"
+        ),
+    )
+    return {
+        "out": str(out),
+        "digest": manifest["digest"],
+        **{name: manifest[name] for name in ("rows", "wanted", "written", "seconds", "samples_per_s")},
+    }
 
 
 COMMAND = Command("make a data set: flights, channels, clouds", _arguments, _run)
