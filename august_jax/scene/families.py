@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float
 
 REFERENCE_HALF_WHEELBASE_M = 0.25
 """Half-wheelbase [m] of the solids that :func:`build` returns."""
@@ -40,7 +41,7 @@ FAMILIES = {
 _Solid = tuple[np.ndarray, np.ndarray]
 
 
-def build(name: str) -> tuple[list[_Solid], np.ndarray]:
+def build(name: str) -> tuple[list[_Solid], Float[np.ndarray, "R 3"]]:
     """Parts of the family ``name`` at the reference size.
 
     Returns:

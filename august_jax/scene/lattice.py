@@ -20,8 +20,10 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
+from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
+from august_jax.arrays import Array
 from august_jax.physics.cells import Cells
 
 _NEGLIGIBLE = 0.05
@@ -29,13 +31,15 @@ _NEGLIGIBLE = 0.05
 _MOST_PARTS = 12
 """Sub-cells along a cell's edge. Walls nearer to each other than a sub-cell count as one: on a quad_x with a skin of
 0.5 mm in 16.8 mm cells 0.7 % of the material is lost against 32 parts, which take nine times as long."""
+_MOST_SAMPLES = 3e7
+"""Points on the surface, which take about 100 bytes each on the way. A craft of half a metre takes 3e5."""
 _TOWARDS_CENTROID = 0.4
 """Where a cell couples to the others, from its centre (0) to its material's centroid (1). Between centres a tilted
 sheet is a staircase; between centroids neighbours that share a corner's worth of material come too close for point
 dipoles. Of 0, 0.25, 0.4, 0.5, 0.6 this errs least on 25 sheets of random tilt and place, at permittivities 3 and 5."""
 
 
-def shell_cells(triangles: np.ndarray, cell_m: float, skin_m: float) -> Cells:
+def shell_cells(triangles: Float[Array, "T 3 3"], cell_m: float, skin_m: float) -> Cells:
     """Cells of a cubic lattice that the skin of a surface touches, in the frame of ``triangles``.
 
     Cells filled to less than 5 % of ``skin_m / cell_m`` are dropped; on drone-like bodies they hold about 0.2 % of
@@ -52,14 +56,15 @@ def shell_cells(triangles: np.ndarray, cell_m: float, skin_m: float) -> Cells:
         the centroids (N, 3) [m].
 
     Raises:
-        ValueError: a size is not positive, the skin is thicker than a cell, or so thin or coarse that no cell is left.
+        ValueError: a size is not positive, the skin is thicker than a cell, or so thin or coarse that no cell is left,
+            or the cells so fine that the work does not fit in memory.
     """
-    if not (np.isfinite(cell_m) and np.isfinite(skin_m) and 0.0 < skin_m <= cell_m):
-        raise ValueError(f"skin_m={skin_m!r}, cell_m={cell_m!r}: wanted 0 < skin_m <= cell_m, both in metres")
+    check_sizes(cell_m, skin_m)
     triangles = np.asarray(triangles, dtype=np.float64)
     # half a skin is no more than a sub-cell then, so that the shell stays within the neighbours of those it passes
     parts = min(int(np.ceil(cell_m / (0.75 * skin_m))), _MOST_PARTS)
     step = cell_m / parts
+    _check_cost(triangles, cell_m, 0.5 * step)
     samples, owner = surface_grid(triangles, 0.5 * step)
 
     index = np.floor(samples / step + 0.5 * parts).astype(np.int64)
@@ -108,16 +113,26 @@ def shell_cells(triangles: np.ndarray, cell_m: float, skin_m: float) -> Cells:
     )
 
 
-def touched_cells(triangles: np.ndarray, cell_m: float) -> int:
+def check_sizes(cell_m: float, skin_m: float) -> None:
+    """Raise ValueError unless 0 < skin_m <= cell_m, both finite [m]."""
+    if not (np.isfinite(cell_m) and np.isfinite(skin_m) and 0.0 < skin_m <= cell_m):
+        raise ValueError(f"skin_m={skin_m!r}, cell_m={cell_m!r}: wanted 0 < skin_m <= cell_m, both in metres")
+
+
+def touched_cells(triangles: Float[Array, "T 3 3"], cell_m: float) -> int:
     """Number of lattice cells of edge ``cell_m`` [m] that the bare surface passes: cheap, a little below
     ``shell_cells(...).count``."""
-    samples, _ = surface_grid(np.asarray(triangles, dtype=np.float64), 0.25 * cell_m)
+    triangles = np.asarray(triangles, dtype=np.float64)
+    _check_cost(triangles, cell_m, 0.25 * cell_m)
+    samples, _ = surface_grid(triangles, 0.25 * cell_m)
     index = np.floor(samples / cell_m + 0.5).astype(np.int64)
     index -= index.min(axis=0)
     return len(np.unique(index @ np.array([1, 1 << 20, 1 << 40])))
 
 
-def surface_grid(triangles: np.ndarray, spacing_m: float) -> tuple[np.ndarray, np.ndarray]:
+def surface_grid(
+    triangles: Float[np.ndarray, "T 3 3"], spacing_m: float
+) -> tuple[Float[np.ndarray, "P 3"], Int[np.ndarray, " P"]]:
     """Regular points on triangles, no further than about ``spacing_m`` [m] apart.
 
     Rows run along each triangle's longest edge, so that slivers stay cheap; each row is as long as the lower side of
@@ -149,7 +164,9 @@ def surface_grid(triangles: np.ndarray, spacing_m: float) -> tuple[np.ndarray, n
     return start[owner] + x[:, None] * along[owner] + y[:, None] * rise[owner], owner
 
 
-def distance_to_triangles(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+def distance_to_triangles(
+    points: Float[np.ndarray, "N 3"], triangles: Float[np.ndarray, "N 3 3"]
+) -> Float[np.ndarray, " N"]:
     """Distance (N,) [m] of each point (N, 3) to the filled triangle (N, 3, 3) of the same row."""
     normals = _unit_normals(triangles)
     squared = np.full(len(points), np.inf)
@@ -164,6 +181,17 @@ def distance_to_triangles(points: np.ndarray, triangles: np.ndarray) -> np.ndarr
     return np.where(inside, plane, np.sqrt(squared))
 
 
+def _check_cost(triangles: np.ndarray, cell_m: float, spacing_m: float) -> None:
+    """Raise ValueError where a grid of this spacing [m] on the surface would not fit in memory."""
+    area = 0.5 * float(np.linalg.norm(_twice_areas(triangles), axis=-1).sum())
+    if area > _MOST_SAMPLES * spacing_m**2:
+        enough = 2.0 * _MOST_PARTS * np.sqrt(area / _MOST_SAMPLES)
+        raise ValueError(
+            f"cell_m={cell_m!r}: {area:.3g} m^2 of surface would take {area / spacing_m**2:.2g} samples, more than "
+            f"{_MOST_SAMPLES:.0e}; give {enough:.2g} m or more, or check the craft's size and its mesh's unit"
+        )
+
+
 def _below(height: np.ndarray, normals: np.ndarray, edge: float) -> np.ndarray:
     """Part of a cube's volume below a plane with the given normal, ``height`` (N,) above the cube's centre."""
     slant = np.maximum(np.abs(normals), 1e-3).T  # keeps the division well posed where an axis lies in the plane
@@ -175,8 +203,13 @@ def _below(height: np.ndarray, normals: np.ndarray, edge: float) -> np.ndarray:
 
 
 def _unit_normals(triangles: np.ndarray) -> np.ndarray:
-    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    normals = _twice_areas(triangles)
     return normals / np.linalg.norm(normals, axis=-1, keepdims=True)
+
+
+def _twice_areas(triangles: np.ndarray) -> np.ndarray:
+    """Area vectors (T, 3) of triangles, doubled."""
+    return np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
 
 
 def _rank(counts: np.ndarray) -> np.ndarray:

@@ -14,6 +14,7 @@ the two others.
 from __future__ import annotations
 
 import numpy as np
+from jaxtyping import Float, Int
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
@@ -24,7 +25,7 @@ _ENOUGH = 0.25
 """Votes that a half-wheelbase needs to be believed."""
 
 
-def estimate_half_wheelbase(vertices: np.ndarray, faces: np.ndarray) -> float:
+def estimate_half_wheelbase(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> float:
     """Half of the largest horizontal distance between two rotor axes [m], estimated.
 
     Args:
@@ -42,7 +43,9 @@ def estimate_half_wheelbase(vertices: np.ndarray, faces: np.ndarray) -> float:
     return float(np.average(spans[best], weights=votes[best]))
 
 
-def _repeated_bodies(vertices, faces, middle, diagonal) -> tuple[np.ndarray, np.ndarray]:
+def _repeated_bodies(
+    vertices: np.ndarray, faces: np.ndarray, middle: np.ndarray, diagonal: float
+) -> tuple[np.ndarray, np.ndarray]:
     """Half of the largest horizontal distance within each group of congruent bodies [m], and the group's vote."""
     edges = np.concatenate([faces[:, :2], faces[:, 1:]]).T
     count, label = connected_components(coo_matrix((np.ones(edges.shape[1]), edges), [len(vertices)] * 2))
