@@ -119,5 +119,5 @@ def _ears(points: np.ndarray, least: float) -> np.ndarray:
     return np.array(faces, np.int64).reshape(-1, 3)
 
 
-def _twice_area(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
+def _twice_area(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray | np.float64:
     return (b[..., 0] - a[..., 0]) * (c[..., 1] - a[..., 1]) - (b[..., 1] - a[..., 1]) * (c[..., 0] - a[..., 0])
