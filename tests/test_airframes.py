@@ -28,7 +28,10 @@ def crafts() -> dict[str, Airframe]:
     return {name: procedural_airframe(name) for name in AIRFRAMES}
 
 
-def sheet(edge: float, rotation=np.eye(3), offset=(0.0, 0.0, 0.0)) -> np.ndarray:
+UPRIGHT = np.eye(3)
+
+
+def sheet(edge: float, rotation=UPRIGHT, offset=(0.0, 0.0, 0.0)) -> np.ndarray:
     """Two triangles (2, 3, 3) that make a square, its middle at ``offset``."""
     corners = 0.5 * edge * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) @ np.asarray(rotation).T + offset
     return corners[[[0, 1, 2], [0, 2, 3]]]
@@ -256,9 +259,10 @@ def test_samples_vmap_over_keys(crafts):
 
 @pytest.fixture
 def craft_file(tmp_path, crafts):
-    def write(kind: str, transform=np.eye(4)):
+    def write(kind: str, transform=None):
         path = tmp_path / f"craft.{kind}"
-        crafts["hexa"].mesh.copy().apply_transform(transform).export(path)
+        mesh = crafts["hexa"].mesh.copy()
+        (mesh if transform is None else mesh.apply_transform(transform)).export(path)
         return path
 
     return write

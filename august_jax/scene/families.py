@@ -89,11 +89,11 @@ def _loft(rings: np.ndarray) -> _Solid:
     last = (stations - 1) * count
     faces.append(np.stack([following, here, np.full(count, stations * count)], 1))
     faces.append(np.stack([last + here, last + following, np.full(count, stations * count + 1)], 1))
-    faces = np.concatenate(faces)
-    corners = vertices[faces]
+    closed = np.concatenate(faces)
+    corners = vertices[closed]
     if np.sum(corners[:, 0] * np.cross(corners[:, 1], corners[:, 2])) < 0.0:
-        faces = faces[:, ::-1]
-    return vertices, faces
+        closed = closed[:, ::-1]
+    return vertices, closed
 
 
 def _circle(count: int) -> np.ndarray:

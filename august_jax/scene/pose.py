@@ -41,7 +41,7 @@ def rotation_from_quaternion(quaternion: Real[Array, "*batch 4"]) -> Float[jax.A
 
 
 def rotation_from_axis_yaw(
-    axis: Float[Array, "*batch 3"], yaw: Float[ArrayLike, "*batch"]
+    axis: Float[Array, "*batch 3"], yaw: Float[Array, "*batch"]
 ) -> Float[jax.Array, "*batch 3 3"]:
     """The attitude (..., 3, 3) of a multirotor whose thrust points along ``axis`` and whose nose heads to ``yaw``.
 

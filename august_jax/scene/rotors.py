@@ -57,7 +57,7 @@ def _repeated_bodies(
     size = np.bincount(label, area, count)
     size = np.maximum(size, 1e-12 * area.sum())  # vertices that no face uses are bodies too
     place = np.stack([np.bincount(label, area * triangles[..., axis].mean(1), count) for axis in (0, 1)], 1)
-    place /= size[:, None]
+    place = place / size[:, None]
     bottom, top = np.full(count, np.inf), np.full(count, -np.inf)
     np.minimum.at(bottom, label, triangles[..., 2].min(axis=1))
     np.maximum.at(top, label, triangles[..., 2].max(axis=1))

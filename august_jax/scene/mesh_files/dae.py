@@ -46,7 +46,8 @@ def read_dae(content: bytes) -> tuple[Surface, Declared]:
         if isinstance(element.tag, str):
             element.tag = element.tag.rpartition("}")[2]
     # exporters give one id to things of different kinds
-    document = _Document({(element.tag, element.get("id")): element for element in root.iter() if element.get("id")}, {})
+    ids = {(element.tag, element.get("id", "")): element for element in root.iter()}
+    document = _Document(ids, {})
     scene = root.find("scene/instance_visual_scene")
     if scene is not None:
         scene = document.named(scene, "url", "visual_scene")
@@ -71,18 +72,19 @@ class _Document(NamedTuple):
         for kind in kinds:
             if name.startswith("#") and (kind, name[1:]) in self.ids:
                 return self.ids[kind, name[1:]]
-        raise DamagedMesh(f"<{element.tag} {attribute}={name!r}> refers to no <{kinds[0]}> of the file; export the mesh "
-                          "as one file")
+        raise DamagedMesh(f"<{element.tag} {attribute}={name!r}> refers to no <{kinds[0]}> of the file; export "
+                          "the mesh as one file")
 
 
 def _declared(root: ElementTree.Element) -> Declared:
     unit, axis = root.find("asset/unit"), root.find("asset/up_axis")
-    metres = _numbers(unit.get("meter", "1"), "<unit>") if unit is not None else np.ones(1)
+    meter = unit.get("meter", "1") if unit is not None else "1"
+    metres = _numbers(meter, "<unit>")
     up = (axis.text or "").strip().upper() if axis is not None else "Y_UP"
     if up not in _UP:
         raise DamagedMesh(f"<up_axis> is {up!r}; wanted one of {', '.join(_UP)}")
     if not (len(metres) == 1 and np.isfinite(metres[0]) and metres[0] > 0.0):
-        raise DamagedMesh(f"<unit> is meter={unit.get('meter')!r}; wanted a positive number of metres")
+        raise DamagedMesh(f"<unit> is meter={meter!r}; wanted a positive number of metres")
     default = "COLLADA's default"
     # of the frames that COLLADA lists, x of the one with z up is x of the one with y up and -y of the one with x up
     return Declared(float(metres[0]), _UP[up], None, ("its <unit>" if unit is not None else default,

@@ -100,7 +100,9 @@ def chosen_frame(path: str, declared: Declared, unit: str | float, up: str, forw
             _warn(f"{path}: declares a unit of {declared.unit_m:g} m ({unit_by}), but is read with unit={metres:g} m")
     else:
         metres, unit_from = (1.0, _ASSUMED) if declared.unit_m is None else (declared.unit_m, unit_by)
-    for argument, axis, said, by in (("up", up, declared.up, up_by), ("forward", forward, declared.forward, forward_by)):
+    for argument, axis, said, by in (
+        ("up", up, declared.up, up_by), ("forward", forward, declared.forward, forward_by),
+    ):
         if axis != AUTO and said is not None and axis != said:
             _warn(f"{path}: declares {argument} {said} ({by}), but is read with {argument}={axis!r}")
     up, up_from = _axis("up", up, declared.up, up_by, "z", forward)
@@ -116,7 +118,7 @@ def _axis(argument: str, given: str, declared: str | None, by: str, usual: str, 
         return declared, by
     if usual[-1] != other[-1]:
         return usual, _ASSUMED if declared is None else f"assumed: {by}'s {declared} is not perpendicular to {other}"
-    raise ValueError(f"{argument}={AUTO!r}: {usual} would be parallel to the other axis, {other!r}; give {argument} too")
+    raise ValueError(f"{argument}={AUTO!r}: {usual!r} is parallel to the other axis, {other!r}; give {argument} too")
 
 
 def unit_in_metres(unit: str | float) -> float:

@@ -91,7 +91,7 @@ class _Reader:
         self.document, self.binary, self.fetch = document, binary, fetch
         self.buffers: dict[int, bytes] = {}
 
-    def parts(self, node, matrix, world) -> list[Surface]:
+    def parts(self, node: dict[str, Any], matrix: np.ndarray, world: dict[int, np.ndarray]) -> list[Surface]:
         """Surfaces of a node's mesh, placed by its matrix, or by the joints of its skin."""
         mesh = self.document["meshes"][node["mesh"]]
         weights = node.get("weights", mesh.get("weights", []))
@@ -121,9 +121,11 @@ class _Reader:
                 parts.append(placed(surface, matrix))
         return parts
 
-    def skinned(self, vertices, primitive, skin, world) -> np.ndarray:
+    def skinned(
+        self, vertices: np.ndarray, primitive: dict[str, Any], index: int, world: dict[int, np.ndarray]
+    ) -> np.ndarray:
         """Vertices in the rest pose: sum over joints of weight * (joint in the world) * (inverse of its bind)."""
-        skin = self.document["skins"][skin]
+        skin = self.document["skins"][index]
         joints = np.stack([world.get(joint, np.eye(4)) for joint in skin["joints"]])
         if "inverseBindMatrices" in skin:
             joints = joints @ np.swapaxes(self.accessor(skin["inverseBindMatrices"]).reshape(-1, 4, 4), 1, 2)
@@ -193,12 +195,13 @@ def _chunks(content: bytes) -> tuple[dict[str, Any], bytes]:
     """The JSON document and the binary buffer of a .glb; of a .gltf the latter is empty."""
     binary = b""
     if content[:4] == b"glTF":
-        version, length = (int.from_bytes(content[place:place + 4], "little") for place in (4, 8))
-        if version != 2:
-            raise DamagedMesh(f"it is glTF {version}, and glTF 2 is read here; export it as glTF 2.0")
+        number, length = (int.from_bytes(content[place:place + 4], "little") for place in (4, 8))
+        if number != 2:
+            raise DamagedMesh(f"it is glTF {number}, and glTF 2 is read here; export it as glTF 2.0")
         if length > len(content) or len(content) < 20:
             raise DamagedMesh(f"its header states {length} bytes, but it has {len(content)}; it was cut off")
-        chunks, offset = {}, 12
+        chunks: dict[bytes, bytes] = {}
+        offset = 12
         while offset + 8 <= length:
             size = int.from_bytes(content[offset:offset + 4], "little")
             chunks.setdefault(content[offset + 4:offset + 8], content[offset + 8:offset + 8 + size])

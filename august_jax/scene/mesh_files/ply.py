@@ -30,20 +30,20 @@ def read_ply(content: bytes) -> Surface:
         DamagedMesh: the header is none, names no vertices, or the file ends before its rows do.
     """
     elements, body = _header(content)
-    columns, lists, offset = {}, {}, 0
-    for name, rows, properties in elements:
-        offset = _element(name, rows, properties, body, offset, columns, lists)
-    missing = [axis for axis in "xyz" if ("vertex", axis) not in columns]
+    table = _Table(body)
+    for element in elements:
+        table.read(*element)
+    missing = [axis for axis in "xyz" if ("vertex", axis) not in table.columns]
     if missing:
         raise DamagedMesh(f"its header names no vertex property {missing[0]!r}; wanted an element vertex with x, y, z")
-    vertices = check_places(np.stack([columns["vertex", axis] for axis in "xyz"], axis=-1))
+    vertices = check_places(np.stack([table.columns["vertex", axis] for axis in "xyz"], axis=-1))
     faces = [np.zeros((0, 3), np.int64)]
     for name in _INDICES:
-        if ("face", name) in lists:
-            counts, corners = lists["face", name]
+        if ("face", name) in table.lists:
+            counts, corners = table.lists["face", name]
             faces.append(triangulated(vertices, counts, corners.astype(np.int64)))
-        if ("tristrips", name) in lists:
-            corners = lists["tristrips", name][1].astype(np.int64)
+        if ("tristrips", name) in table.lists:
+            corners = table.lists["tristrips", name][1].astype(np.int64)
             strips = np.split(corners, np.flatnonzero(corners == -1))  # -1 begins a strip anew
             faces += [strip_faces(strip[strip != -1]) for strip in strips if (strip != -1).sum() >= 3]
     return check_surface(vertices, np.concatenate(faces))
@@ -79,66 +79,76 @@ def _header(content: bytes) -> tuple[list[tuple[str, int, list[_Property]]], byt
     return elements, body
 
 
-def _element(name, rows, properties, body, offset, columns, lists) -> int:
-    """Put an element's columns, by (element, property), where they belong; returns where the next element begins."""
-    lengths = _first_lengths(properties, body, offset) if rows else None
-    if lengths is not None:
-        fields = []
+class _Table:
+    """Columns of elements, read one element after the other.
+
+    Attributes:
+        columns: values of a property that is no list, by (element, property).
+        lists: lengths (rows,) and values, list after list, of one that is.
+    """
+
+    def __init__(self, body: bytes) -> None:
+        self.body, self.offset = body, 0
+        self.columns: dict[tuple[str, str], np.ndarray] = {}
+        self.lists: dict[tuple[str, str], tuple[np.ndarray, np.ndarray]] = {}
+
+    def read(self, name: str, rows: int, properties: list[_Property]) -> None:
+        """Read an element at once where the lists of all rows are as long as those of the first, else row by row."""
+        lengths = self.lengths(properties) if rows else None
+        if lengths is None or not self.at_once(name, rows, properties, lengths):
+            self.row_by_row(name, rows, properties)
+
+    def at_once(self, name: str, rows: int, properties: list[_Property], lengths: list[int]) -> bool:
+        """Read rows whose lists have these lengths; False, and nothing read, where they have not."""
+        fields: list[tuple] = []
         for (label, count, kind), length in zip(properties, lengths):
-            fields += [(f"{label} count", count)] if count is not None else []
-            fields.append((label, kind, (length,)) if count is not None else (label, kind))
+            fields += [(f"{label} count", count), (label, kind, (length,))] if count is not None else [(label, kind)]
         row = np.dtype(fields)
-        if offset + rows * row.itemsize <= len(body):
-            table = np.frombuffer(body, row, rows, offset)
-            uniform = all((table[f"{label} count"] == length).all()
-                          for (label, count, _), length in zip(properties, lengths) if count is not None)
-            if uniform:
-                for (label, count, _), length in zip(properties, lengths):
-                    if count is None:
-                        columns[name, label] = table[label]
-                    else:
-                        lists[name, label] = np.full(rows, length, np.int64), table[label].reshape(-1)
-                return offset + rows * row.itemsize
-    return _row_by_row(name, rows, properties, body, offset, columns, lists)
+        if self.offset + rows * row.itemsize > len(self.body):
+            return False
+        table = np.frombuffer(self.body, row, rows, self.offset)
+        lists = [(label, length) for (label, count, _), length in zip(properties, lengths) if count is not None]
+        if not all((table[f"{label} count"] == length).all() for label, length in lists):
+            return False
+        self.columns |= {(name, label): table[label] for label, count, _ in properties if count is None}
+        self.lists |= {(name, label): (np.full(rows, length, np.int64), table[label].reshape(-1))
+                       for label, length in lists}
+        self.offset += rows * row.itemsize
+        return True
 
-
-def _first_lengths(properties, body, offset) -> list[int] | None:
-    """Lengths of the lists of the row at ``offset``, 0 for what is no list; None where the row is cut off."""
-    lengths = []
-    for _, count, kind in properties:
-        length = 0
-        if count is not None:
-            if offset + count.itemsize > len(body):
-                return None
-            length = int(np.frombuffer(body, count, 1, offset)[0])
-            if length < 0:
-                return None
-            offset += count.itemsize
-        lengths.append(length)
-        offset += kind.itemsize * (length if count is not None else 1)
-    return lengths if offset <= len(body) else None
-
-
-def _row_by_row(name, rows, properties, body, offset, columns, lists) -> int:
-    """As :func:`_element`, for rows whose lists differ in length."""
-    values = {label: [] for label, _, _ in properties}
-    counts = {label: [] for label, count, _ in properties if count is not None}
-    for row in range(rows):
-        lengths = _first_lengths(properties, body, offset)
-        if lengths is None:
-            raise DamagedMesh(f"it ends in row {row + 1} of the {rows} of its element {name!r}; it was cut off, or "
-                              "its header is wrong: export it again")
-        for (label, count, kind), length in zip(properties, lengths):
-            if count is not None:
+    def row_by_row(self, name: str, rows: int, properties: list[_Property]) -> None:
+        """Read rows whose lists differ in length."""
+        values: dict[str, list[np.ndarray]] = {label: [] for label, _, _ in properties}
+        counts: dict[str, list[int]] = {label: [] for label, _, _ in properties}
+        for row in range(rows):
+            lengths = self.lengths(properties)
+            if lengths is None:
+                raise DamagedMesh(f"it ends in row {row + 1} of the {rows} of its element {name!r}; it was cut off, or "
+                                  "its header is wrong: export it again")
+            for (label, count, kind), length in zip(properties, lengths):
+                self.offset += count.itemsize if count is not None else 0
+                values[label].append(np.frombuffer(self.body, kind, length, self.offset))
                 counts[label].append(length)
+                self.offset += length * kind.itemsize
+        for label, count, kind in properties:
+            column = np.concatenate([np.zeros(0, kind), *values[label]])
+            if count is None:
+                self.columns[name, label] = column
+            else:
+                self.lists[name, label] = np.array(counts[label], np.int64), column
+
+    def lengths(self, properties: list[_Property]) -> list[int] | None:
+        """Number of values of each property of the next row; None where the file ends in it."""
+        lengths, offset = [], self.offset
+        for _, count, kind in properties:
+            length = 1
+            if count is not None:
+                if offset + count.itemsize > len(self.body):
+                    return None
+                length = int(np.frombuffer(self.body, count, 1, offset)[0])
                 offset += count.itemsize
-            size = length if count is not None else 1
-            values[label].append(np.frombuffer(body, kind, size, offset))
-            offset += size * kind.itemsize
-    for label, count, kind in properties:
-        column = np.concatenate([np.zeros(0, kind), *values[label]])
-        if count is None:
-            columns[name, label] = column
-        else:
-            lists[name, label] = np.array(counts[label], np.int64), column
-    return offset
+            lengths.append(length)
+            offset += kind.itemsize * length
+            if length < 0 or offset > len(self.body):
+                return None
+        return lengths

@@ -97,7 +97,7 @@ def _ears(points: np.ndarray, least: float) -> np.ndarray:
     while len(ring) > 3:
         corners = points[ring]
         before, after = np.roll(corners, 1, axis=0), np.roll(corners, -1, axis=0)
-        turns = _twice_area(before, corners, after)
+        turns = np.asarray(_twice_area(before, corners, after))
         reflex = corners[turns < -least]
         straight = np.flatnonzero(np.abs(turns) <= least)
         if len(straight):  # no area: the corner goes, and no face is made
@@ -106,7 +106,7 @@ def _ears(points: np.ndarray, least: float) -> np.ndarray:
         # blunt ears first: slivers would come of cutting in order
         for place in np.argsort(-turns):
             a, b, c = before[place], corners[place], after[place]
-            inside = np.minimum.reduce([_twice_area(a, b, reflex), _twice_area(b, c, reflex), _twice_area(c, a, reflex)])
+            inside = np.min([_twice_area(*edge, reflex) for edge in ((a, b), (b, c), (c, a))], axis=0)
             apart = np.min([np.abs(reflex - corner).max(axis=-1, initial=0.0) for corner in (a, b, c)], axis=0)
             if turns[place] > 0.0 and not ((inside >= -least) & (apart > least**0.5)).any():
                 break
@@ -114,7 +114,7 @@ def _ears(points: np.ndarray, least: float) -> np.ndarray:
             place = int(np.argmax(turns))
         faces.append([ring[place - 1], ring[place], ring[(place + 1) % len(ring)]])
         del ring[place]
-    if abs(_twice_area(*points[ring])) > least:
+    if abs(float(_twice_area(*points[ring]))) > least:
         faces.append(ring)
     return np.array(faces, np.int64).reshape(-1, 3)
 
