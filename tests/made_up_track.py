@@ -3,7 +3,7 @@
 import jax
 import numpy as np
 
-from august_jax.pipeline import Track
+from august_jax.tracking import Track
 from august_jax.scene.airframes import procedural_airframe
 
 
@@ -18,12 +18,12 @@ def made_up_track(slots: int = 3, points: int = 400, noise_m: float = 0.01) -> T
     rotation = np.stack([np.cos(angle), zero, np.sin(angle), zero, one, zero, -np.sin(angle), zero, np.cos(angle)],
                         axis=-1).reshape(slots, 3, 3)
     truth = position[:, None] + np.einsum("tab,nb->tna", rotation, body)
-    again = position[:, None] + np.einsum("tab,nb->tna", rotation, other)
+    resampled = position[:, None] + np.einsum("tab,nb->tna", rotation, other)
     miss = rng.normal(0.0, 0.05, (slots, 1, 3))
     normal = rotation[..., 2] + rng.normal(0.0, 0.1, (slots, 3))
     return Track(
         time_s=time, position=position, rotation=rotation, predicted=position + rng.uniform(-0.3, 0.3, (slots, 3)),
-        snr_db=np.full(slots, 20.0), permittivity=3.2, conductivity=5e-3, truth=truth, again=again,
+        snr_db=np.full(slots, 20.0), permittivity=3.2, conductivity=5e-3, truth=truth, resampled=resampled,
         points=truth + miss + rng.normal(0.0, noise_m, truth.shape),
         point_permittivity=rng.normal(3.1, 0.2, truth.shape[:2]),
         point_conductivity=rng.normal(5e-3, 5e-4, truth.shape[:2]),

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from august_jax import metrics
+from august_jax.evaluation import metrics
 
 
 def slow_chamfer(first, second):

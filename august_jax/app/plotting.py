@@ -12,20 +12,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from august_jax.evaluation import ABOUT
 from august_jax.files import replacing
+from august_jax.schemes import SCHEMES
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from august_jax.pipeline import Track
+    from august_jax.tracking import Track
 
 SOFT, LINE = "#5c6b78", "#dfe5ea"
 MODEL, TRUTH, BASE = "#0a6ebd", "#3a4652", "#c8641b"
 STYLES = {
     "august": {"color": MODEL, "marker": "o", "lw": 2.0, "ms": 5},
-    "prior": {"color": BASE, "ls": "--"},
+    "prediction": {"color": BASE, "ls": "--"},
     "up": {"color": "#a63d7b", "ls": "--"},
     "mean_shape": {"color": "#8a6d1d", "ls": "--"},
     "resampling": {"color": "#7a8894", "ls": ":"},
@@ -126,7 +126,7 @@ def evaluation_curves(rows: Sequence[Mapping[str, Any]], png: str | Path, *, tit
         for scheme in schemes:
             pairs = {row["snr_db"]: row[metric] for row in rows if row["scheme"] == scheme and row[metric] is not None}
             if pairs:
-                axes.plot(*np.array(sorted(pairs.items())).T, label=ABOUT.get(scheme, scheme),
+                axes.plot(*np.array(sorted(pairs.items())).T, label=SCHEMES[scheme].label if scheme in SCHEMES else scheme,
                           **{"lw": 1.6, **STYLES.get(scheme, {"marker": "s", "ms": 4})})
         column = {"mpe_m": "bound_m", "mde": "bound_mde"}.get(metric)
         bound = sorted({(row["snr_db"], row[column]) for row in rows if row[column] is not None}) if column else []

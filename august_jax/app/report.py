@@ -20,7 +20,7 @@ import numpy as np
 from august_jax.files import write_text
 
 if TYPE_CHECKING:
-    from august_jax.pipeline import Track
+    from august_jax.tracking import Track
 
 QUANTUM_M = 1e-4
 """Step of the coordinates in the page [m]."""

@@ -111,6 +111,7 @@ class TrainingBatches:
         if not config.train.reobserve:
             as_observed(dataset.read(self._places[:1]), config)
 
+    @streams.pin  # whoever calls, from whatever thread
     def __call__(self, step: int) -> Batch:
         train = self._config.train
         epoch, place = divmod(step, len(self._places) // train.batch)

@@ -8,20 +8,24 @@ from august_jax.scene.airframes import (
     resolve_airframe,
     sample_triangles,
 )
-from august_jax.scene.cloud import CloudReading, from_cloud, position_estimate, to_cloud
+from august_jax.scene.cloud import WorldCloud, from_cloud, position_estimate, to_cloud
 from august_jax.scene.pose import random_rotation, rotation_from_euler, rotation_from_quaternion, tilt, transform
+from august_jax.scene.scenario import Scenario, draw_scenario, pose_scenario
 from august_jax.scene.trajectory import Flight, fly, fly_many
 
 __all__ = [
     "AIRFRAMES",
     "Airframe",
-    "CloudReading",
     "Flight",
+    "Scenario",
+    "WorldCloud",
+    "draw_scenario",
     "fly",
     "fly_many",
     "from_cloud",
     "load_airframe",
     "position_estimate",
+    "pose_scenario",
     "procedural_airframe",
     "random_rotation",
     "resolve_airframe",

@@ -12,12 +12,14 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Float
 
+from august_jax.arrays import Array, ArrayLike
 from august_jax.config import RegionConfig
 
 
-class CloudReading(NamedTuple):
-    """What a cloud says, in physical units.
+class WorldCloud(NamedTuple):
+    """A cloud in the world, in physical units.
 
     Attributes:
         points: world points (..., M, 3) [m].
@@ -25,12 +27,15 @@ class CloudReading(NamedTuple):
         conductivity: conductivity of each (..., M) [S/m].
     """
 
-    points: jax.Array
-    permittivity: jax.Array
-    conductivity: jax.Array
+    points: Float[Array, "*batch points 3"]
+    permittivity: Float[Array, "*batch points"]
+    conductivity: Float[Array, "*batch points"]
 
 
-def to_cloud(points, position, predicted, permittivity, conductivity, region: RegionConfig) -> jax.Array:
+def to_cloud(
+    points: Float[Array, "*batch points 3"], position: Float[Array, "*batch 3"], predicted: Float[Array, "*batch 3"],
+    permittivity: ArrayLike, conductivity: ArrayLike, region: RegionConfig,
+) -> Float[jax.Array, "*batch points 5"]:
     """The normalised cloud (..., M, 5).
 
     Args:
@@ -50,16 +55,20 @@ def to_cloud(points, position, predicted, permittivity, conductivity, region: Re
     return jnp.concatenate([where, jnp.broadcast_to(what, (*where.shape[:-1], 2))], axis=-1)
 
 
-def from_cloud(cloud, predicted, region: RegionConfig) -> CloudReading:
+def from_cloud(
+    cloud: Float[Array, "*batch points 5"], predicted: Float[Array, "*batch 3"], region: RegionConfig
+) -> WorldCloud:
     """Inverse of :func:`to_cloud`: cloud (..., M, 5), predicted (..., 3) [m] -> world points and materials."""
     cloud = jnp.asarray(cloud)
-    return CloudReading(
+    return WorldCloud(
         points=cloud[..., :3] * region.scale_m + jnp.asarray(predicted)[..., None, :],
         permittivity=cloud[..., 3] * region.permittivity_max,
         conductivity=cloud[..., 4] * region.conductivity_max_s_m,
     )
 
 
-def position_estimate(cloud, predicted, region: RegionConfig) -> jax.Array:
+def position_estimate(
+    cloud: Float[Array, "*batch points 5"], predicted: Float[Array, "*batch 3"], region: RegionConfig
+) -> Float[jax.Array, "*batch 3"]:
     """q_est (..., 3) [m], the mean of the cloud (..., M, 5) put back into the world."""
     return jnp.asarray(predicted) + region.scale_m * jnp.mean(jnp.asarray(cloud)[..., :3], axis=-2)

@@ -118,10 +118,8 @@ def observe(
     noise_w = beams.dbm_to_watt(signal.noise_dbm)
     symbols = signal.symbols or array.count
     key_pilots, key_unitary, key_noise = jax.random.split(key, 3)
-    codebook = beams.roi_codebook(array.nx, array.nz, beams.direction_angles(predicted), _radians(signal),
-                                  mirror=signal.mirror_beams)
     drawn = beams.pilot_symbols(key_pilots, array.count, symbols, signal.pilots)
-    sent = beams.pilots(codebook, drawn, 1.0 / channel.shape[0])
+    sent = beams.pilots(codebook(predicted, array, signal), drawn, 1.0 / channel.shape[0])
     if power_dbm is None:
         power_w = _power_for(snr_db, jnp.sum(energy(channel @ sent)), noise_w, channel.shape[0] * array.count * symbols)
     else:
@@ -185,9 +183,8 @@ def observe_region(
     else:
         key, key_pilots = jax.random.split(key)
         drawn = beams.pilot_symbols(key_pilots, count, symbols, signal.pilots)
-        codebook = beams.roi_codebook(array.nx, array.nz, beams.direction_angles(predicted), _radians(signal),
-                                      mirror=signal.mirror_beams)
-        sent = sent @ drawn * jnp.sqrt(symbols / (tones * energy(codebook @ drawn)))
+        power = energy(codebook(predicted, array, signal) @ drawn)
+        sent = sent @ drawn * jnp.sqrt(symbols / (tones * power))
     clean = roi.project(channel, predicted, subspace).values @ sent
     entries = tones * count * symbols
     if power_dbm is None:
@@ -225,6 +222,14 @@ def observe_for(
     look = observe_region if config.model.encoder == "roi" else observe
     return look(key, channel, predicted, array=config.array, signal=config.signal, region=config.region, snr_db=snr_db,
                 power_dbm=power_dbm)
+
+
+def codebook(
+    predicted: Float[Array, "3"], array: ArrayConfig, signal: SignalConfig
+) -> Complex[jax.Array, "antennas antennas"]:
+    """The beams W (N_b, N_b) of the region about q_pre (3,) [m]; see :func:`~august_jax.signal.beams.roi_codebook`."""
+    return beams.roi_codebook(array.nx, array.nz, beams.direction_angles(predicted), _radians(signal),
+                              mirror=signal.mirror_beams)
 
 
 def _reduced_beams(waves: jax.Array, planar: PlanarArray, factors: tuple[jax.Array, jax.Array]) -> jax.Array:

@@ -1,25 +1,31 @@
-"""From clouds to tracks: predictors of the next position and the attitude of a cloud."""
+"""From clouds to tracks: the attitude of a cloud, predictors of the next position, and the loop over slots."""
 
-from august_jax.tracking.attitude import plane_normal, rotor_points, triple_normal
+from august_jax.tracking.attitude import cloud_normals, plane_normal, rotor_plane_normal, rotor_points, triple_normal
+from august_jax.tracking.loop import Followed, Found, follow
 from august_jax.tracking.predictors import (
-    KalmanState,
+    PREDICTORS,
+    FiniteDifference,
+    Kalman,
     Prediction,
-    finite_difference,
-    kalman,
-    kalman_predict,
-    kalman_start,
-    kalman_update,
+    Predictor,
+    predict_next,
 )
+from august_jax.tracking.track import Track
 
 __all__ = [
-    "KalmanState",
+    "PREDICTORS",
+    "FiniteDifference",
+    "Followed",
+    "Found",
+    "Kalman",
     "Prediction",
-    "finite_difference",
-    "kalman",
-    "kalman_predict",
-    "kalman_start",
-    "kalman_update",
+    "Predictor",
+    "Track",
+    "cloud_normals",
+    "follow",
     "plane_normal",
+    "predict_next",
+    "rotor_plane_normal",
     "rotor_points",
     "triple_normal",
 ]

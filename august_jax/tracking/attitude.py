@@ -16,12 +16,16 @@ from functools import partial
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Bool, Float, Shaped
+
+from august_jax.arrays import Array
 
 
 @partial(jax.jit, static_argnames="triples")
 def triple_normal(
-    key: jax.Array, points: jax.Array, triples: int = 512, *, weights: jax.Array | None = None
-) -> jax.Array:
+    key: jax.Array, points: Float[Array, "points 3"], triples: int = 512, *,
+    weights: Shaped[Array, " points"] | None = None,
+) -> Float[jax.Array, "3"]:
     """The paper's estimate: mean normal of random triples.
 
     Args:
@@ -45,12 +49,12 @@ def triple_normal(
 @partial(jax.jit, static_argnames="trials")
 def plane_normal(
     key: jax.Array,
-    points: jax.Array,
+    points: Float[Array, "points 3"],
     trials: int = 128,
     *,
-    tolerance_m: float = 0.03,
-    weights: jax.Array | None = None,
-) -> jax.Array:
+    tolerance_m: float | jax.Array = 0.03,
+    weights: Shaped[Array, " points"] | None = None,
+) -> Float[jax.Array, "3"]:
     """Normal of the plane that most points lie near: random sample consensus, then total least squares.
 
     Args:
@@ -77,7 +81,27 @@ def plane_normal(
     return least_squares_normal(points, jnp.where(valid[best], members, importance))
 
 
-def least_squares_normal(points: jax.Array, weights: jax.Array) -> jax.Array:
+def rotor_plane_normal(key: jax.Array, points: Float[Array, "points 3"]) -> Float[jax.Array, "3"]:
+    """Upward unit normal (3,) of the rotor plane, read from a cloud (M, 3) [m] alone."""
+    return plane_normal(key, points, weights=rotor_points(points))
+
+
+@jax.jit
+def cloud_normals(
+    key: jax.Array, clouds: Float[Array, "batch points 3"]
+) -> tuple[Float[jax.Array, "batch 3"], Float[jax.Array, "batch 3"]]:
+    """Normals (B, 3) of clouds (B, M, 3) [m]: of the plane of their rotor points, and the paper's, by triples of
+    these."""
+    centred = clouds - jnp.mean(clouds, axis=1, keepdims=True)
+
+    def both(key: jax.Array, cloud: jax.Array) -> tuple[jax.Array, jax.Array]:
+        plane, triples = jax.random.split(key)
+        return rotor_plane_normal(plane, cloud), triple_normal(triples, cloud, weights=rotor_points(cloud))
+
+    return jax.vmap(both)(jax.random.split(key, len(clouds)), centred)
+
+
+def least_squares_normal(points: Float[Array, "points 3"], weights: Float[Array, " points"]) -> Float[jax.Array, "3"]:
     """Upward unit normal (3,) of the plane with the least weighted sum of squared distances; points (M, 3)."""
     centred = points - weights @ points / jnp.sum(weights)
     _, axes = jnp.linalg.eigh((weights[:, None] * centred).T @ centred)
@@ -85,7 +109,7 @@ def least_squares_normal(points: jax.Array, weights: jax.Array) -> jax.Array:
 
 
 @partial(jax.jit, static_argnames="rounds")
-def rotor_points(points: jax.Array, rounds: int = 3) -> jax.Array:
+def rotor_points(points: Float[Array, "points 3"], rounds: int = 3) -> Bool[jax.Array, " points"]:
     """Which points are likely on the rotor plane, from the cloud alone.
 
     Rotors are far from the axis and above the arms. Starting from the least-squares plane of the whole cloud, keep the
@@ -113,7 +137,7 @@ def rotor_points(points: jax.Array, rounds: int = 3) -> jax.Array:
     return mask
 
 
-def upward(normals: jax.Array) -> jax.Array:
+def upward(normals: Float[Array, "*batch 3"]) -> Float[jax.Array, "*batch 3"]:
     """Vectors (..., 3) with the sign that makes z >= 0."""
     return jnp.where(normals[..., 2:] < 0.0, -normals, normals)
 

@@ -62,7 +62,7 @@ def test_train_leaves_a_run(home):
     assert [line["step"] for line in lines] == [2, 4]
     assert all(math.isfinite(value) for line in lines for value in line.values())
     # the ninth of ten flights is for validation; its predictions miss by less than the cube's half diagonal
-    assert 0.0 < lines[-1]["validation_prior_m"] < 0.5 * math.sqrt(3.0)
+    assert 0.0 < lines[-1]["validation_prediction_m"] < 0.5 * math.sqrt(3.0)
 
 
 def test_commands_keep_off_each_other_s_folders(capsys, home, flown):
@@ -96,17 +96,17 @@ def test_evaluate_rows(capsys, home):
     result = call(capsys, "evaluate", home / "run", "--seed", 5, "--out", home / "evaluation", "evaluate.count=4",
                   "evaluate.snr_db=[20]")
     rows = {row["scheme"]: row for row in result["rows"]}
-    assert list(rows) == ["august", "prior", "up", "mean_shape", "resampling"]
+    assert list(rows) == ["august", "prediction", "up", "mean_shape", "resampling"]
     defined = {scheme: {name for name in ("mpe_m", "mde", "wd_db", "mcd_db") if row[name] is not None}
                for scheme, row in rows.items()}
-    assert defined["prior"] == {"mpe_m"} and defined["up"] == {"mde"} and defined["mean_shape"] == {"wd_db", "mcd_db"}
+    assert defined["prediction"] == {"mpe_m"} and defined["up"] == {"mde"} and defined["mean_shape"] == {"wd_db", "mcd_db"}
     assert len(defined["august"]) == len(defined["resampling"]) == 4
     for row in rows.values():
         assert (row["snr_db"], row["count"]) == (20.0, 4)
         assert 0.0 < row["bound_m"] < 0.5 and 0.0 < row["bound_mde"] < 0.25
     # the floor lies below what knows only the prediction; the prediction misses by at most the cube's half diagonal
     assert rows["resampling"]["wd_db"] < rows["mean_shape"]["wd_db"]
-    assert rows["resampling"]["mpe_m"] < rows["prior"]["mpe_m"] < 0.5 * math.sqrt(3.0)
+    assert rows["resampling"]["mpe_m"] < rows["prediction"]["mpe_m"] < 0.5 * math.sqrt(3.0)
     assert json.loads((home / "evaluation" / "evaluation.json").read_text())["rows"] == result["rows"]
     assert (home / "evaluation" / "evaluation.png").is_file()
 
@@ -131,7 +131,7 @@ def test_demo_leaves_a_report_and_numbers_that_agree(flown):
     assert len(found["slots"]) == 3
     schemes = {row["scheme"]: row for row in found["schemes"]}
     # a mean over slots in float32 against the same in float64
-    for scheme, error in (("august", "position_error_m"), ("prior", "predicted_error_m")):
+    for scheme, error in (("august", "position_error_m"), ("prediction", "predicted_error_m")):
         assert schemes[scheme]["mpe_m"] == pytest.approx(np.mean([slot[error] for slot in found["slots"]]), rel=1e-4)
     with np.load(flown / "clouds.npz") as track:
         np.testing.assert_allclose(track["points"].mean(axis=1), [s["estimate"] for s in found["slots"]], atol=1e-5)
@@ -203,10 +203,10 @@ def test_reconstruct_a_drone_from_a_file(capsys, home, mesh, tmp_path):
 
 
 @pytest.mark.parametrize("extra, wanted", [
-    ([], ["--half-wheelbase", "0.25", "unit"]),
+    ([], ["half", "0.25", "unit"]),
     (["--unit", "furlong"], ["--unit 'furlong'", "mm"]),
     (["--unit", "mm", "--up", "w"], ["--up 'w'"]),
-    (["--unit", "mm", "--position", "40,5,3"], ["position", "40", "x 3 to 7", "--position 5,6,3.5"]),
+    (["--unit", "mm", "--position", "40,5,3"], ["position", "40", "x 3 to 7", "5,6,3.5"]),
     (["--unit", "mm", "--roll", "60"], ["roll", "60", "30 degrees"]),
     (["--unit", "mm", "--roll", "26", "--pitch", "30"], ["by 38.9 degrees", "30 degrees"]),
     (["--unit", "mm", "--pitch", "35", "--yaw", "45"], ["by 35 degrees", "30 degrees"]),

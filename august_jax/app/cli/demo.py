@@ -29,7 +29,7 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
 
     started = time.monotonic()
     networks, config = chosen_weights(args, args.run)
-    shot = pipeline.draw_flight(config, args.seed, args.slots, args.airframe)
+    shot = pipeline.draw_scenario(config, args.seed, args.slots, args.airframe)
     note(f"{shot.airframe.name} flies {args.slots} slots, permittivity {shot.permittivity:.2f}, "
          f"conductivity {1e3 * shot.conductivity:.1f} mS/m")
     again = [*options(args, "airframe", "run"), *args.overrides]

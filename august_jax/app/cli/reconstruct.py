@@ -41,7 +41,7 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
     airframe = load_airframe(args.mesh, unit=args.unit, up=args.up, forward=args.forward,
                              half_wheelbase_m=args.half_wheelbase)
     networks, config = chosen_weights(args, args.run)
-    shot = pipeline.pose(networks.config, airframe, position=args.position, yaw_deg=args.yaw, pitch_deg=args.pitch,
+    shot = pipeline.pose_scenario(networks.config, airframe, position=args.position, yaw_deg=args.yaw, pitch_deg=args.pitch,
                          roll_deg=args.roll, permittivity=args.permittivity, conductivity=args.conductivity)
     note(f"{airframe.name}: half-wheelbase {airframe.half_wheelbase_m:.3f} m, at "
          f"({', '.join(f'{value:.2f}' for value in shot.positions[0])}) m")

@@ -47,7 +47,7 @@ def sensed(args: argparse.Namespace, networks: Networks, config: Config, shot: S
     lead = (
         f"{'Over ' + str(slots) + ' slots the' if slots > 1 else 'The'} reconstructed cloud puts the drone "
         f"{100 * mean['august']['mpe_m']:.1f} cm from where it is{' on average' if slots > 1 else ''}; "
-        f"the prediction it starts from is {100 * mean['prior']['mpe_m']:.1f} cm off."
+        f"the prediction it starts from is {100 * mean['prediction']['mpe_m']:.1f} cm off."
     )
     title = f"{shot.airframe.name} at {args.snr:g} dB, seen by {config.array.count} antennas"
     setup = [

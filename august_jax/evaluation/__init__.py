@@ -1,0 +1,11 @@
+"""How good answers are: metrics, scores, the bound, and the loop over schemes and SNRs."""
+
+from august_jax.evaluation.bound import Bound
+from august_jax.evaluation.evaluate import evaluate, validator
+from august_jax.evaluation.metrics import along_and_across_m, mcd_db, mde, mpe_m, wd_db
+from august_jax.evaluation.score import NOTE, score, score_track
+
+__all__ = [
+    "NOTE", "Bound", "along_and_across_m", "evaluate", "mcd_db", "mde", "mpe_m", "score", "score_track", "validator",
+    "wd_db",
+]

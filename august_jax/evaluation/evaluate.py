@@ -1,0 +1,138 @@
+"""How accurate the schemes are: rows of a scheme, an SNR and the paper's metrics, beside baselines and bound.
+
+The attitude of a cloud is the plane of its rotor points (``mde``), and, as the paper has it, the mean normal of random
+triples of them (``mde_triples``), both of :mod:`august_jax.tracking.attitude`. The metrics are those of
+:mod:`august_jax.evaluation.metrics`; ``wd_size_db`` is WD with the half-wheelbase as the unit of length.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import nnx
+
+from august_jax import streams
+from august_jax.config import Config
+from august_jax.data import Dataset, Sample, batch_of, generate, observed_anew, prepare_targets
+from august_jax.evaluation import metrics
+from august_jax.evaluation.bound import Bound
+from august_jax.evaluation.score import Row, score
+from august_jax.models import Networks, reconstruct
+from august_jax.progress import Progress, silent
+from august_jax.scene.airframes import Airframe
+from august_jax.scene.cloud import position_estimate
+from august_jax.scene.pose import transform
+from august_jax.schemes import SCHEMES, Answer, Ask, Setting, Slots, Truth
+
+_PIECE = 50
+"""Slots answered together."""
+
+
+@streams.pin
+def evaluate(networks: Networks, config: Config, *, seed: int, progress: Progress = silent) -> list[Row]:
+    """Rows of accuracy on freshly simulated samples, ``config.evaluate.count`` of them, each from its own flight.
+
+    All SNRs share the samples, their predictions and the draws of the noise, so that only the SNR makes a difference.
+
+    ``bound_m`` is the mean position error that the Fisher information of the first 100 samples leaves to an
+    estimator that knows the airframe but neither heading nor complex gain, under a Gaussian prior of the
+    configuration's spread; ``bound_mde`` is half the mean square of the tilt error that it leaves
+    (:mod:`august_jax.evaluation.bound`). For the estimator ``dft``, whose pilots get the power but not the SNR, neither
+    is known.
+
+    Returns:
+        For each SNR and scheme (:data:`august_jax.schemes.SCHEMES`) a row ``scheme``, ``label``, ``snr_db``, the
+        metrics of :func:`~august_jax.evaluation.score.score`, ``count``, ``bound_m`` [m] and ``bound_mde``; None where
+        a scheme does not define a metric or the bound is not known.
+    """
+    count, slots = config.evaluate.count, config.flight.slots
+    targets = prepare_targets(config, progress)
+    progress(f"simulating {count} samples")
+    numbers = np.arange(count)
+    fresh = replace(config, data=replace(config.data, observed=False))
+    samples = generate(fresh, numbers * slots + numbers % slots, targets, seed=seed, domain="evaluate")
+    airframes = [target.airframe for target in targets]
+    resampled = _resampled(streams.key(seed, "evaluate.resampling"), samples, airframes, config.target.points)
+    truth = Truth(samples.position, samples.rotation[:, :, 2], samples.points + samples.position[:, None], resampled)
+    root = streams.key(seed, "evaluate.answer")
+    asks: dict[str, Ask] = {}
+    for name, scheme in SCHEMES.items():
+        ask = scheme.prepare(Setting(config, networks, airframes, _own(root, name)))
+        if ask is not None:
+            asks[name] = ask
+    seen_key = streams.key(seed, "evaluate.observation")
+    rows: list[Row] = []
+    deaf: dict[str, dict[str, float | None]] = {}
+    bound = None
+    for snr_db in config.evaluate.snr_db:
+        batch = observed_anew(seen_key, samples, config, snr_db)
+        if bound is None:  # predictions are the same at any SNR
+            progress("bounding what any estimator could do")
+            bound = Bound(samples, batch.predicted, targets, config)
+        asked = Slots(batch.predicted, batch.snr_db, batch.heard, truth)
+        for name, ask in asks.items():
+            scored = deaf.get(name)
+            if scored is None:
+                answer = _in_pieces(ask, jax.random.fold_in(_own(root, name), 1), asked)
+                scored = score(answer, truth, config.target.half_wheelbase_m)
+                if not SCHEMES[name].hears:
+                    deaf[name] = scored
+            rows.append({"scheme": name, "label": SCHEMES[name].label, "snr_db": snr_db, **scored, "count": count,
+                         **bound.at(snr_db)})
+        progress(f"SNR {snr_db:g} dB: MPE {rows[-len(asks)]['mpe_m']:.3f} m")
+    return rows
+
+
+def _own(root: jax.Array, name: str) -> jax.Array:
+    """A scheme's own key: it does not change when other schemes come or go."""
+    return jax.random.fold_in(root, zlib.crc32(name.encode()))
+
+
+def _in_pieces(ask: Ask, key: jax.Array, slots: Slots) -> Answer:
+    answers = [ask(jax.random.fold_in(key, start), slots.at(slice(start, start + _PIECE)))
+               for start in range(0, slots.count, _PIECE)]
+    return jax.tree.map(lambda *parts: jnp.concatenate(parts), *answers)
+
+
+def _resampled(key: jax.Array, samples: Sample, airframes: Sequence[Airframe], count: int) -> jax.Array:
+    """The true clouds in the world (B, count, 3) [m], drawn a second time."""
+    bodies = jnp.stack([airframe.sample_surface(jax.random.fold_in(key, row), count)
+                        for row, airframe in enumerate(airframes[index] for index in samples.airframe)])
+    return transform(bodies, samples.rotation, samples.position)
+
+
+def validator(
+    dataset: Dataset, config: Config, count: int = 256
+) -> Callable[[nnx.GraphDef, nnx.State, int], dict[str, float]] | None:
+    """A function (graphdef, state, step) -> position error on validation samples, beside that of q_pre.
+
+    Args:
+        dataset: where they come from; ``count`` of them, evenly spread, are used, observed alike at every call.
+        config: of the training run.
+        count: how many at most.
+
+    Returns:
+        The function, or None where the data hold no validation samples.
+    """
+    places = dataset.rows("validation")
+    if not len(places):
+        return None
+    samples = dataset.read(places[np.linspace(0, len(places) - 1, min(count, len(places))).astype(int)])
+    seen_key, cloud_key = jax.random.split(streams.key(config.train.seed, "train.validation"))
+    batch = batch_of(seen_key, samples, config)
+    position = jnp.asarray(samples.position)
+
+    def validate(graphdef: nnx.GraphDef, state: nnx.State, step: int) -> dict[str, float]:
+        cloud = reconstruct(graphdef, state, cloud_key, batch.heard, batch.predicted, batch.snr_db,
+                            count=min(128, config.target.points), sampler=config.evaluate.sampler,
+                            steps=config.evaluate.sampler_steps)
+        estimate = position_estimate(cloud, batch.predicted, config.region)
+        return {"validation_mpe_m": float(metrics.mpe_m(estimate, position)),
+                "validation_prediction_m": float(metrics.mpe_m(batch.predicted, position))}
+
+    return validate

@@ -1,0 +1,136 @@
+"""An answer against the truth: every metric that the answer defines, and the errors of a track slot by slot."""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from august_jax import streams
+from august_jax.config import Config
+from august_jax.evaluation import metrics
+from august_jax.scene.airframes import resolve_airframe
+from august_jax.scene.cloud import WorldCloud
+from august_jax.schemes import SCHEMES, Answer, Setting, Slots, Truth
+from august_jax.tracking import Track, cloud_normals
+
+Row = dict[str, Any]
+"""A line of a table: names and plain values."""
+
+NOTE = (
+    "MPE: mean distance between true and estimated position. MDE: mean of 1 - cos between true and estimated normal. "
+    "MCD: squared distance to the nearest neighbour, both ways, of clouds about their own means; WD adds the squared "
+    "position error; both in dB re 1 m^2."
+)
+
+
+def score(answer: Answer, truth: Truth, size_m: float) -> dict[str, float | None]:
+    """The metrics that ``answer`` defines.
+
+    Args:
+        answer: of B slots.
+        truth: of the same slots.
+        size_m: half-wheelbase of the craft [m].
+
+    Returns:
+        ``mpe_m`` [m] and its standard error ``mpe_se_m`` [m] (None for one sample), ``mde``, ``mde_triples``, ``wd_db``
+        and ``mcd_db`` [dB re 1 m^2], ``wd_size_db`` [dB]; ``along_m`` and ``across_m``, the position's
+        root-mean-square error along the line of sight and across it [m].
+    """
+    values: dict[str, float | None] = dict.fromkeys(
+        ("mpe_m", "mpe_se_m", "mde", "mde_triples", "wd_db", "wd_size_db", "mcd_db", "along_m", "across_m"))
+    if answer.position is not None:
+        values["mpe_m"] = float(metrics.mpe_m(answer.position, truth.position))
+        errors = np.linalg.norm(np.asarray(answer.position) - truth.position, axis=-1)
+        if len(errors) > 1:
+            values["mpe_se_m"] = float(np.std(errors, ddof=1) / np.sqrt(len(errors)))
+        if np.linalg.norm(np.asarray(truth.position), axis=-1).min() > 0.0:  # positions about themselves have no sight
+            along, across = metrics.along_and_across_m(answer.position, truth.position)
+            values |= {"along_m": float(along), "across_m": float(across)}
+    if answer.normal is not None:
+        values["mde"] = float(metrics.mde(answer.normal, truth.normal))
+    if answer.triple_normal is not None:
+        values["mde_triples"] = float(metrics.mde(answer.triple_normal, truth.normal))
+    if answer.cloud is not None:
+        place = answer.centre if answer.position is None else answer.position
+        wd_db = float(metrics.wd_db(answer.cloud.points, truth.cloud, place, truth.position))
+        values |= {"wd_db": wd_db, "wd_size_db": wd_db - float(20.0 * np.log10(size_m)),
+                   "mcd_db": float(metrics.mcd_db(answer.cloud.points, truth.cloud))}
+    return values
+
+
+def score_track(track: Track, config: Config, size_m: float, *, seed: int = 0) -> dict[str, list[Row]]:
+    """Errors of a track, slot by slot and on average, beside the baselines.
+
+    Where a mesh that the networks were trained on is not there any more, a warning says so and ``mean_shape`` is left
+    out.
+
+    Args:
+        track: what was true and reconstructed.
+        config: of the networks.
+        size_m: half-wheelbase of the craft [m].
+        seed: of what the baselines draw.
+
+    Returns:
+        ``slots``: one entry a slot, plain numbers and lists: ``slot``, ``time_s``, ``snr_db``; ``position``,
+        ``predicted``, ``estimate`` [m]; ``normal``, ``normal_estimate``; ``tilt_deg``, ``tilt_estimate_deg``;
+        ``permittivity``, ``conductivity`` [S/m] and their estimates, the clouds' means; ``position_error_m``,
+        ``predicted_error_m``, ``normal_error_deg``, and ``normal_error_up_deg``, that of answering a level craft.
+        ``schemes``: one row a scheme: ``scheme``, ``label`` and the metrics over all slots.
+    """
+    # about the true positions: single precision keeps the digits of a centimetre better there than in the world
+    origin = track.position[:, None]
+    truth = Truth(np.zeros_like(track.position), track.normal, track.truth - origin, track.resampled - origin)
+    points = jnp.asarray(track.points - origin)
+    root = streams.key(seed, "sense.answer")
+    answers = {"august": Answer(
+        position=track.estimated_position - track.position, normal=track.normal_estimate,
+        triple_normal=cloud_normals(jax.random.fold_in(root, 0), points)[1],
+        cloud=WorldCloud(points, track.point_permittivity, track.point_conductivity))}
+    try:
+        airframes = [resolve_airframe(name, config.target.half_wheelbase_m) for name in config.target.airframes]
+    except ValueError as error:
+        warnings.warn(f"no mean_shape to compare with, of the airframes that the weights know: {error}", stacklevel=2)
+        airframes = None
+    setting = Setting(config, None, airframes, jax.random.fold_in(root, 1))
+    slots = Slots(track.predicted - track.position, None, None, truth)
+    for number, (name, scheme) in enumerate(SCHEMES.items(), 2):
+        ask = None if scheme.hears else scheme.prepare(setting)
+        if ask is not None:
+            answers[name] = ask(jax.random.fold_in(root, number), slots)
+    rows = [{"scheme": name, "label": SCHEMES[name].label, **score(answer, truth, size_m)}
+            for name, answer in answers.items()]
+    return {"slots": [_slot(track, number) for number in range(track.slots)], "schemes": rows}
+
+
+def _slot(track: Track, slot: int) -> Row:
+    up = np.array([0.0, 0.0, 1.0])
+    position, predicted, estimate = track.position[slot], track.predicted[slot], track.estimated_position[slot]
+    normal, normal_estimate = track.normal[slot], track.normal_estimate[slot]
+    return {
+        "slot": slot,
+        "time_s": float(track.time_s[slot]),
+        "snr_db": float(track.snr_db[slot]),
+        "position": position.tolist(),
+        "predicted": predicted.tolist(),
+        "estimate": estimate.tolist(),
+        "position_error_m": float(np.linalg.norm(estimate - position)),
+        "predicted_error_m": float(np.linalg.norm(predicted - position)),
+        "normal": normal.tolist(),
+        "normal_estimate": normal_estimate.tolist(),
+        "normal_error_deg": _angle_deg(normal_estimate, normal),
+        "normal_error_up_deg": _angle_deg(up, normal),
+        "tilt_deg": _angle_deg(up, normal),
+        "tilt_estimate_deg": _angle_deg(up, normal_estimate),
+        "permittivity": track.permittivity,
+        "permittivity_estimate": float(track.point_permittivity[slot].mean()),
+        "conductivity": track.conductivity,
+        "conductivity_estimate": float(track.point_conductivity[slot].mean()),
+    }
+
+
+def _angle_deg(first: np.ndarray, second: np.ndarray) -> float:
+    return float(np.degrees(np.arctan2(np.linalg.norm(np.cross(first, second)), first @ second)))

@@ -1,0 +1,117 @@
+"""What a scheme is asked and what it answers.
+
+A scheme is prepared once for a :class:`Setting` and then answers slots: from what is heard of them, or without. A scheme
+is added by one file that makes a :class:`Scheme` and one line in the registry (:mod:`august_jax.schemes`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import jax
+from jaxtyping import Float
+
+from august_jax.arrays import Array
+from august_jax.config import Config
+from august_jax.models import Networks
+from august_jax.scene.airframes import Airframe
+from august_jax.scene.cloud import WorldCloud
+from august_jax.signal.roi import Coefficients
+
+
+class Truth(NamedTuple):
+    """What was true in B slots. Lengths count from any one origin a slot, the same for all that is compared.
+
+    Attributes:
+        position: surface centroids (B, 3) [m].
+        normal: unit normals of the rotor plane (B, 3).
+        cloud: points of the true surface (B, M, 3) [m].
+        resampled: the surface sampled a second time (B, M, 3) [m].
+    """
+
+    position: Float[Array, "batch 3"]
+    normal: Float[Array, "batch 3"]
+    cloud: Float[Array, "batch points 3"]
+    resampled: Float[Array, "batch points 3"]
+
+
+class Slots(NamedTuple):
+    """What a scheme is asked about, B slots at a time.
+
+    Attributes:
+        predicted: q_pre (B, 3) [m].
+        snr_db: the SNR as the receiver estimates it (B,) [dB].
+        heard: estimated channels or coefficients; None where only schemes without ears are asked.
+        truth: what they are measured against; only ``resampling``, the floor, answers from it.
+    """
+
+    predicted: Float[Array, "batch 3"]
+    snr_db: Float[Array, " batch"] | None
+    heard: Array | Coefficients | None
+    truth: Truth
+
+    @property
+    def count(self) -> int:
+        """Number of slots B."""
+        return len(self.predicted)
+
+    def at(self, rows: Any) -> Slots:
+        """The slots at ``rows``: whatever indexes an array's first axis and keeps it."""
+        return jax.tree.map(lambda value: value[rows], self)
+
+
+class Answer(NamedTuple):
+    """What a scheme says of B slots; None where it has no opinion, and no metric is worked out there.
+
+    Attributes:
+        position: (B, 3) [m].
+        normal: upward unit normals of the rotor plane (B, 3).
+        triple_normal: the same by the paper's method, the mean of random triples (B, 3).
+        cloud: points (B, M, 3) [m] and their materials (B, M).
+        centre: where a cloud lies that comes without a position of its own (B, 3) [m].
+    """
+
+    position: Float[Array, "batch 3"] | None = None
+    normal: Float[Array, "batch 3"] | None = None
+    triple_normal: Float[Array, "batch 3"] | None = None
+    cloud: WorldCloud | None = None
+    centre: Float[Array, "batch 3"] | None = None
+
+
+class Setting(NamedTuple):
+    """What a scheme may prepare from.
+
+    Attributes:
+        config: of the networks, possibly with another sampler.
+        networks: trained; None where only schemes without networks are asked.
+        airframes: those that the configuration knows; None where they cannot be had.
+        key: of what is drawn once.
+    """
+
+    config: Config
+    networks: Networks | None
+    airframes: Sequence[Airframe] | None
+    key: jax.Array
+
+
+Ask = Callable[[jax.Array, Slots], Answer]
+"""(key, slots) -> answer; compiled by itself, for up to some fifty slots at a time."""
+
+
+@dataclass(frozen=True)
+class Scheme:
+    """A way to answer slots.
+
+    Attributes:
+        name: in the registry, in rows and in files.
+        label: what it is, in a few words, for people.
+        prepare: a setting -> what answers; None where the setting lacks what the scheme needs.
+        hears: its answer depends on what is heard; without, one answer serves all SNRs.
+    """
+
+    name: str
+    label: str
+    prepare: Callable[[Setting], Ask | None]
+    hears: bool = False

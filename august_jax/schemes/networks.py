@@ -1,0 +1,43 @@
+"""The trained networks, whatever their ``model.scheme``: cloud, its mean as the position, the plane of its rotors."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Float
+
+from august_jax.arrays import Array
+from august_jax.config import Config
+from august_jax.models import Networks
+from august_jax.scene.cloud import WorldCloud, from_cloud
+from august_jax.schemes.answer import Answer, Ask, Scheme, Setting, Slots
+from august_jax.signal.roi import Coefficients
+from august_jax.tracking.attitude import cloud_normals
+
+
+@partial(jax.jit, static_argnames="config")
+def reconstructed(
+    networks: Networks, config: Config, key: jax.Array, heard: Array | Coefficients,
+    predicted: Float[Array, "batch 3"], snr_db: Float[Array, " batch"],
+) -> WorldCloud:
+    """Clouds of B slots in the world, drawn by the networks; arguments as of :meth:`Networks.reconstruct`."""
+    return from_cloud(networks.reconstruct(key, heard, predicted, snr_db, config), predicted, config.region)
+
+
+def _prepare(setting: Setting) -> Ask | None:
+    networks = setting.networks
+    if networks is None:
+        return None
+
+    def ask(key: jax.Array, slots: Slots) -> Answer:
+        cloud_key, normal_key = jax.random.split(key)
+        cloud = reconstructed(networks, setting.config, cloud_key, slots.heard, slots.predicted, slots.snr_db)
+        normal, triple = cloud_normals(normal_key, cloud.points)
+        return Answer(jnp.mean(cloud.points, axis=1), normal, triple, cloud)
+
+    return ask
+
+
+AUGUST = Scheme("august", "the networks", _prepare, hears=True)

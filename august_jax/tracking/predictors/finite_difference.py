@@ -1,0 +1,54 @@
+"""The paper's kinematic prediction (Section III): velocity and acceleration by backward differences,
+
+    q + v dt + a dt^2 / 2 = 2.5 q_1 - 2 q_2 + 0.5 q_3
+
+with q_1 the latest position. It multiplies the error of an estimate by 3.2. Two positions are continued at constant
+velocity, one is repeated.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Float, Int
+
+from august_jax.arrays import Array
+from august_jax.config import FlightConfig
+from august_jax.tracking.predictors.protocol import Prediction
+
+GAINS = ((1.0, 0.0, 0.0), (2.0, -1.0, 0.0), (2.5, -2.0, 0.5))
+"""Weights of the latest, last but one and last but two positions, where one, two, or three and more are known."""
+
+
+class Past(NamedTuple):
+    """The last three positions (3, 3) [m], latest first, and how many there have been ()."""
+
+    positions: Float[Array, "3 3"]
+    count: Int[Array, ""]
+
+
+@dataclass(frozen=True)
+class FiniteDifference:
+    """The paper's predictor; it states no covariance."""
+
+    @classmethod
+    def for_flight(cls, flight: FlightConfig) -> FiniteDifference:
+        """The same for all flights: slots are equally long."""
+        return cls()
+
+    def start(self, position: Float[Array, "3"]) -> Past:
+        """See :class:`Predictor`."""
+        return Past(jnp.tile(position, (3, 1)), jnp.asarray(1, jnp.int32))
+
+    def predict(self, state: Past) -> tuple[Past, Prediction]:
+        """See :class:`Predictor`."""
+        gains = jnp.asarray(GAINS, state.positions.dtype)[jnp.minimum(state.count, 3) - 1]
+        unknown = jnp.diag(jnp.full(3, jnp.inf, state.positions.dtype))
+        return state, Prediction(gains @ state.positions, unknown)
+
+    def update(self, state: Past, position: Float[Array, "3"]) -> Past:
+        """See :class:`Predictor`."""
+        return Past(jnp.concatenate([position[None], state.positions[:2]]), state.count + 1)
+

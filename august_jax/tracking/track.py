@@ -1,0 +1,60 @@
+"""A track: what was true and what was reconstructed, slot after slot."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+from jaxtyping import Float
+
+
+@dataclass(frozen=True)
+class Track:
+    """What was true and what was reconstructed in each of T slots; NumPy arrays in the world frame.
+
+    Attributes:
+        time_s: time of each slot (T,) [s].
+        position: true positions, the surface centroids (T, 3) [m].
+        rotation: true attitudes, body to world (T, 3, 3).
+        predicted: predicted positions q_pre, about which the cloud is sought (T, 3) [m].
+        snr_db: realised SNR of the echo (T,) [dB].
+        permittivity, conductivity: the craft's material, [1] and [S/m].
+        truth: points of the true surface (T, M, 3) [m].
+        resampled: another sample of it (T, M, 3) [m].
+        points: reconstructed points (T, M, 3) [m].
+        point_permittivity, point_conductivity: their materials (T, M), [1] and [S/m].
+        normal_estimate: unit normal of the rotor plane read from each reconstructed cloud (T, 3).
+    """
+
+    time_s: Float[np.ndarray, " slots"]
+    position: Float[np.ndarray, "slots 3"]
+    rotation: Float[np.ndarray, "slots 3 3"]
+    predicted: Float[np.ndarray, "slots 3"]
+    snr_db: Float[np.ndarray, " slots"]
+    permittivity: float
+    conductivity: float
+    truth: Float[np.ndarray, "slots points 3"]
+    resampled: Float[np.ndarray, "slots points 3"]
+    points: Float[np.ndarray, "slots points 3"]
+    point_permittivity: Float[np.ndarray, "slots points"]
+    point_conductivity: Float[np.ndarray, "slots points"]
+    normal_estimate: Float[np.ndarray, "slots 3"]
+
+    @property
+    def slots(self) -> int:
+        """Number of slots T."""
+        return len(self.time_s)
+
+    @property
+    def estimated_position(self) -> Float[np.ndarray, "slots 3"]:
+        """Estimated positions: the means of the reconstructed clouds (T, 3) [m]."""
+        return self.points.mean(axis=1)
+
+    @property
+    def normal(self) -> Float[np.ndarray, "slots 3"]:
+        """True unit normals of the rotor plane (T, 3)."""
+        return self.rotation[..., :, 2]
+
+    def record(self) -> dict[str, np.ndarray]:
+        """The attributes as a flat mapping of arrays, for files."""
+        return {field.name: np.asarray(getattr(self, field.name)) for field in fields(self)}
