@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import threading
 import zipfile
@@ -18,15 +19,28 @@ class DamagedFile(ValueError):
 
 
 @contextmanager
+def naming(path: str | Path) -> Iterator[None]:
+    """Errors of writing within, of which Python names no file, name this one: a full disk is somebody's to clear."""
+    try:
+        yield
+    except OSError as error:
+        if error.filename is not None:
+            raise
+        # NumPy's own error, of fewer bytes written than asked, has no number
+        raise OSError(error.errno or errno.ENOSPC, error.strerror or str(error), str(path)) from error
+
+
+@contextmanager
 def replacing(path: str | Path) -> Iterator[Path]:
     """A temporary path beside ``path`` that takes its place when the block ends well, and vanishes otherwise."""
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     aside = path.with_name(f".{path.name}.{os.getpid()}.{threading.get_ident()}{path.suffix}")
     try:
-        yield aside
-        with aside.open("rb+") as file:
-            os.fsync(file.fileno())
+        with naming(path):
+            yield aside
+            with aside.open("rb+") as file:
+                os.fsync(file.fileno())
         rename(aside, path)
     finally:
         aside.unlink(missing_ok=True)

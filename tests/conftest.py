@@ -16,10 +16,8 @@ import pytest
 CHECKED = (
     "august_jax.app.devices",
     "august_jax.app.sums",
-    "august_jax.models",
     "august_jax.physics.green",
     "august_jax.scene.pose",
-    "august_jax.training",
 )
 """Modules whose annotations are checked, each with all below it. Configurations check themselves, and say it better."""
 

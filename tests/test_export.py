@@ -1,6 +1,9 @@
 """Files that other programs read: what is written is what comes back, and a failure leaves nothing behind."""
 
+import errno
 import json
+import os
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,6 +12,7 @@ from scipy.io import loadmat
 
 from august_jax import files
 from august_jax.app import export
+from august_jax.app.cli.messages import told
 
 RNG = np.random.default_rng(0)
 POINTS = RNG.normal(size=(7, 3)).astype(np.float32)
@@ -77,3 +81,14 @@ def test_interrupted_write_leaves_the_old_file_and_no_other(tmp_path):
         raise KeyboardInterrupt
     assert path.read_text() == "old"
     assert [item.name for item in tmp_path.iterdir()] == ["kept.txt"]
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no device that is always full")
+def test_a_full_disk_is_told_by_its_file(tmp_path):
+    with pytest.raises(OSError) as full, files.naming("shard/points.npy"), open("/dev/full", "wb") as file:
+        np.save(file, np.zeros(100_000))
+    assert told(full.value).startswith("august: shard/points.npy: No space left on device; make room there")
+    with pytest.raises(OSError) as full, files.replacing(tmp_path / "cloud.ply"):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    assert full.value.filename == str(tmp_path / "cloud.ply")
+    assert not list(tmp_path.iterdir())

@@ -54,11 +54,20 @@ def test_clouds_show_truth_and_reconstruction_of_at_most_four_slots(tmp_path, dr
 
 def test_evaluation_curves_leave_out_what_is_not_defined(tmp_path, drawn):
     none = {"mpe_m": None, "mde": None, "wd_db": None, "mcd_db": None, "count": 8, "bound_m": 0.02, "bound_mde": 0.001}
-    rows = [{"scheme": scheme, "snr_db": snr, **none, **values} for snr in (0.0, 20.0) for scheme, values in
-            {"august": {"mpe_m": 0.1, "mde": 0.02, "wd_db": -20.0, "mcd_db": -30.0}, "prediction": {"mpe_m": 0.48}}.items()]
+    rows = [
+        {"scheme": scheme, "snr_db": snr, **none, **values}
+        for snr in (0.0, 20.0)
+        for scheme, values in {
+            "august": {"mpe_m": 0.1, "mde": 0.02, "wd_db": -20.0, "mcd_db": -30.0},
+            "prediction": {"mpe_m": 0.48},
+        }.items()
+    ]
     plotting.evaluation_curves(rows, tmp_path / "evaluation.png", title="made up")
     lines = [{line.get_label(): line.get_ydata().tolist() for line in axes.lines} for axes in drawn[0].axes]
     august, prediction = (SCHEMES[name].label for name in ("august", "prediction"))
-    assert lines == [{august: [0.1, 0.1], prediction: [0.48, 0.48], "bound": [0.02, 0.02]},
-                     {august: [0.02, 0.02], "bound": [0.001, 0.001]}, {august: [-20.0, -20.0]},
-                     {august: [-30.0, -30.0]}]
+    assert lines == [
+        {august: [0.1, 0.1], prediction: [0.48, 0.48], "bound": [0.02, 0.02]},
+        {august: [0.02, 0.02], "bound": [0.001, 0.001]},
+        {august: [-20.0, -20.0]},
+        {august: [-30.0, -30.0]},
+    ]

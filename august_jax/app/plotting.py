@@ -42,8 +42,11 @@ def training_curves(metrics_jsonl: str | Path, png: str | Path) -> None:
     """
     lines = [json.loads(line) for line in Path(metrics_jsonl).read_text().splitlines() if line.strip()]
     skipped = {"step", "samples_per_s", "seconds_left"}
-    names = [name for name, value in (lines[-1] if lines else {}).items()
-             if name not in skipped and isinstance(value, (int, float))]
+    names = [
+        name
+        for name, value in (lines[-1] if lines else {}).items()
+        if name not in skipped and isinstance(value, (int, float))
+    ]
     if not names:
         raise ValueError(f"metrics_jsonl: {metrics_jsonl} holds no loss terms; train for at least one logged step")
     columns = min(3, len(names))
@@ -56,7 +59,7 @@ def training_curves(metrics_jsonl: str | Path, png: str | Path) -> None:
         if len(values) > 20:
             width = max(len(values) // 40, 3)
             smooth = np.convolve(values, np.ones(width) / width, mode="valid")
-            axes.plot(steps[width - 1:], smooth, color=MODEL, lw=1.8)
+            axes.plot(steps[width - 1 :], smooth, color=MODEL, lw=1.8)
         if (values > 0).all() and values.max() > 20 * values.min():
             axes.set_yscale("log")
         axes.set_title(name, loc="left")
@@ -90,8 +93,16 @@ def clouds(track: Track, png: str | Path, *, permittivity: tuple[float, float], 
             axes = figure.add_subplot(rows, columns, row * len(shown) + column + 1, projection="3d")
             panels.append(axes)
             local = points - track.position[slot]
-            drawn = axes.scatter(*local.T, c=value, cmap="viridis", vmin=permittivity[0], vmax=permittivity[1], s=6,
-                                 linewidths=0, depthshade=True)
+            drawn = axes.scatter(
+                *local.T,
+                c=value,
+                cmap="viridis",
+                vmin=permittivity[0],
+                vmax=permittivity[1],
+                s=6,
+                linewidths=0,
+                depthshade=True,
+            )
             tip = 0.75 * reach * normal
             axes.quiver(*local.mean(axis=0), *tip, color=colour, lw=1.6, arrow_length_ratio=0.2)
             axes.set(xlim=(-reach, reach), ylim=(-reach, reach), zlim=(-reach, reach))
@@ -100,8 +111,9 @@ def clouds(track: Track, png: str | Path, *, permittivity: tuple[float, float], 
             _plain_box(axes, reach)
             q = points.mean(axis=0) if row else track.position[slot]
             place = f"({q[0]:.2f}, {q[1]:.2f}, {q[2]:.2f}) m"
-            axes.set_title(("reconstructed" if row else f"true, {track.time_s[slot]:.1f} s") + f"\n{place}",
-                           y=1.02, fontsize=10)
+            axes.set_title(
+                ("reconstructed" if row else f"true, {track.time_s[slot]:.1f} s") + f"\n{place}", y=1.02, fontsize=10
+            )
     figure.suptitle(title, x=0.01, ha="left", fontsize=12, fontweight="bold")
     bar = figure.colorbar(drawn, ax=panels, shrink=0.5, pad=0.02, aspect=28)
     bar.set_label("relative permittivity")
@@ -117,8 +129,12 @@ def evaluation_curves(rows: Sequence[Mapping[str, Any]], png: str | Path, *, tit
         png: the picture.
         title: heading.
     """
-    panels = (("mpe_m", "position error [m]", True), ("mde", "direction error 1 − cos", True),
-              ("wd_db", "weighted distance [dB]", False), ("mcd_db", "Chamfer distance [dB]", False))
+    panels = (
+        ("mpe_m", "position error [m]", True),
+        ("mde", "direction error 1 − cos", True),
+        ("wd_db", "weighted distance [dB]", False),
+        ("mcd_db", "Chamfer distance [dB]", False),
+    )
     figure = new_figure(11.0, 7.4)
     schemes = list(dict.fromkeys(row["scheme"] for row in rows))
     for index, (metric, label, logarithmic) in enumerate(panels):
@@ -126,8 +142,11 @@ def evaluation_curves(rows: Sequence[Mapping[str, Any]], png: str | Path, *, tit
         for scheme in schemes:
             pairs = {row["snr_db"]: row[metric] for row in rows if row["scheme"] == scheme and row[metric] is not None}
             if pairs:
-                axes.plot(*np.array(sorted(pairs.items())).T, label=SCHEMES[scheme].label if scheme in SCHEMES else scheme,
-                          **{"lw": 1.6, **STYLES.get(scheme, {"marker": "s", "ms": 4})})
+                axes.plot(
+                    *np.array(sorted(pairs.items())).T,
+                    label=SCHEMES[scheme].label if scheme in SCHEMES else scheme,
+                    **{"lw": 1.6, **STYLES.get(scheme, {"marker": "s", "ms": 4})},
+                )
         column = {"mpe_m": "bound_m", "mde": "bound_mde"}.get(metric)
         bound = sorted({(row["snr_db"], row[column]) for row in rows if row[column] is not None}) if column else []
         if bound:

@@ -20,8 +20,13 @@ except Exception as error:
 
 @pytest.mark.parametrize("platform", ["cuda", "tpu", "abacus"])
 def test_a_platform_that_is_not_there_is_named(platform):
-    run = subprocess.run([sys.executable, "-c", _FIRST_USE], env=os.environ | {"JAX_PLATFORMS": platform}, text=True,
-                         capture_output=True, check=True)
+    run = subprocess.run(
+        [sys.executable, "-c", _FIRST_USE],
+        env=os.environ | {"JAX_PLATFORMS": platform},
+        text=True,
+        capture_output=True,
+        check=True,
+    )
     if platform in ("cuda", "tpu") and not run.stdout:
         pytest.skip(f"this machine has a {platform} device")
     assert run.stdout.startswith(f"JAX_PLATFORMS: '{platform}', but") and "set JAX_PLATFORMS=cpu" in run.stdout

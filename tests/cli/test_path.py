@@ -4,8 +4,11 @@ One run of the smallest preset serves all tests of this file; what is checked is
 and that its numbers hang together. How good the numbers are is not a matter of twenty steps.
 """
 
+import hashlib
 import json
 import math
+import shlex
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -14,11 +17,19 @@ import scipy.io
 import trimesh
 
 from august_jax.app import cli
+from august_jax.app.cli.parser import parse
 from august_jax.data import Dataset, channels_along, unpack
 from august_jax.scene import procedural_airframe, resolve_airframe
 
-SMALL = ["target.airframes=[quad_x]", "data.count=40", "data.shard_rows=20", "flight.slots=4", "train.steps=4",
-         "train.save_every=4", "train.log_every=2"]
+SMALL = [
+    "target.airframes=[quad_x]",
+    "data.count=40",
+    "data.shard_rows=20",
+    "flight.slots=4",
+    "train.steps=4",
+    "train.save_every=4",
+    "train.log_every=2",
+]
 
 
 @pytest.fixture(scope="module")
@@ -66,26 +77,31 @@ def test_train_leaves_a_run(home):
 
 
 def test_commands_keep_off_each_other_s_folders(capsys, home, flown):
-    for words, folder, owner in ((["simulate", "--preset", "smoke"], home / "run", "august train"),
-                                 (["train", "--data", home / "data"], home / "data", "august simulate"),
-                                 (["train", "--data", home / "data"], flown, "august demo"),
-                                 (["demo", "--run", home / "run"], home / "run", "august train")):
+    for words, folder, owner in (
+        (["simulate", "--preset", "smoke"], home / "run", "august train"),
+        (["train", "--data", home / "data"], home / "data", "august simulate"),
+        (["train", "--data", home / "data"], flown, "august demo"),
+        (["demo", "--run", home / "run"], home / "run", "august train"),
+    ):
         before = (folder / "config.yaml").read_bytes()
         message = refused(capsys, *words, "--out", folder)
         assert str(folder) in message and owner in message
         assert (folder / "config.yaml").read_bytes() == before
 
 
-@pytest.mark.parametrize("extra, wanted", [
-    (["--preset", "laptop"], ["preset: 'laptop'", "'smoke'"]),
-    (["array.nx=8"], ["array.nx: 8", "made with 4"]),
-    (["data.seed=3"], ["data.seed: 3", "made with 0"]),
-    (["train.batch=64"], ["train.batch", "64"]),
-    (["data.count=80"], ["data.count: 80", "made with 40"]),
-    (["train.weight_position=-1"], ["train.weight_position", "0 to"]),
-    (["model.scheme=refchannel"], ["model.scheme: refchannel", "choose august"]),
-    (["--init", "nowhere"], ["nowhere/config.yaml", "august train"]),
-])
+@pytest.mark.parametrize(
+    "extra, wanted",
+    [
+        (["--preset", "laptop"], ["preset: 'laptop'", "'smoke'"]),
+        (["array.nx=8"], ["array.nx: 8", "made with 4"]),
+        (["data.seed=3"], ["data.seed: 3", "made with 0"]),
+        (["train.batch=64"], ["train.batch", "64"]),
+        (["data.count=80"], ["data.count: 80", "made with 40"]),
+        (["train.weight_position=-1"], ["train.weight_position", "0 to"]),
+        (["model.scheme=refchannel"], ["model.scheme: refchannel", "choose august"]),
+        (["--init", "nowhere"], ["nowhere/config.yaml", "august train"]),
+    ],
+)
 def test_train_wants_what_the_data_are(capsys, home, tmp_path, extra, wanted):
     message = refused(capsys, "train", "--data", home / "data", "--out", tmp_path / "run", *extra)
     assert all(text in message for text in wanted)
@@ -93,13 +109,26 @@ def test_train_wants_what_the_data_are(capsys, home, tmp_path, extra, wanted):
 
 
 def test_evaluate_rows(capsys, home):
-    result = call(capsys, "evaluate", home / "run", "--seed", 5, "--out", home / "evaluation", "evaluate.count=4",
-                  "evaluate.snr_db=[20]")
+    result = call(
+        capsys,
+        "evaluate",
+        home / "run",
+        "--seed",
+        5,
+        "--out",
+        home / "evaluation",
+        "evaluate.count=4",
+        "evaluate.snr_db=[20]",
+    )
     rows = {row["scheme"]: row for row in result["rows"]}
     assert list(rows) == ["august", "prediction", "up", "mean_shape", "resampling"]
-    defined = {scheme: {name for name in ("mpe_m", "mde", "wd_db", "mcd_db") if row[name] is not None}
-               for scheme, row in rows.items()}
-    assert defined["prediction"] == {"mpe_m"} and defined["up"] == {"mde"} and defined["mean_shape"] == {"wd_db", "mcd_db"}
+    defined = {
+        scheme: {name for name in ("mpe_m", "mde", "wd_db", "mcd_db") if row[name] is not None}
+        for scheme, row in rows.items()
+    }
+    assert (
+        defined["prediction"] == {"mpe_m"} and defined["up"] == {"mde"} and defined["mean_shape"] == {"wd_db", "mcd_db"}
+    )
     assert len(defined["august"]) == len(defined["resampling"]) == 4
     for row in rows.values():
         assert (row["snr_db"], row["count"]) == (20.0, 4)
@@ -114,6 +143,17 @@ def test_evaluate_rows(capsys, home):
 def test_weights_refuse_another_configuration(capsys, home):
     assert "model.latent: 4" in refused(capsys, "evaluate", home / "run", "model.latent=4")
     assert "'smoke'" in refused(capsys, "evaluate", home / "run", "--preset", "laptop")
+
+
+def test_weights_that_are_not_finite_are_refused_at_once(capsys, home, tmp_path):
+    shutil.copytree(home / "run", tmp_path / "run", ignore=shutil.ignore_patterns("checkpoints"))
+    with np.load(tmp_path / "run" / "weights.npz") as stored:
+        arrays = dict(stored)
+    name = next(iter(arrays))
+    arrays[name].flat[0] = np.nan
+    np.savez(tmp_path / "run" / "weights.npz", **arrays)
+    message = refused(capsys, "demo", "--run", tmp_path / "run", "--out", tmp_path / "out")
+    assert name in message and "NaN" in message and not (tmp_path / "out").exists()
 
 
 FILES = {"report.html", "cloud.ply", "clouds.npz", "metrics.json", "config.yaml"}
@@ -147,8 +187,10 @@ def test_export_of_a_flight(capsys, flown, tmp_path, kind, count):
     with np.load(flown / "clouds.npz") as track:
         wanted = {"truth": track["truth"][1], "points": track["points"][1]}
     if kind == "ply":
-        found = {name: trimesh.load(tmp_path / f"demo_00001_{file}.ply").vertices
-                 for name, file in (("truth", "true"), ("points", "reconstructed"))}
+        found = {
+            name: trimesh.load(tmp_path / f"demo_00001_{file}.ply").vertices
+            for name, file in (("truth", "true"), ("points", "reconstructed"))
+        }
     else:
         path = Path(result["files"][0])
         found = scipy.io.loadmat(path) if kind == "mat" else json.loads(path.read_text())
@@ -174,8 +216,9 @@ def test_a_flight_meets_the_channels_that_the_data_hold(home):
     dataset = Dataset(home / "data")
     rows = dataset.read(np.arange(4))
     airframe = resolve_airframe("quad_x", dataset.config.target.half_wheelbase_m)
-    channels = channels_along(dataset.config, airframe, rows.rotation, rows.position, float(rows.permittivity[0]),
-                              float(rows.conductivity[0]))
+    channels = channels_along(
+        dataset.config, airframe, rows.rotation, rows.position, float(rows.permittivity[0]), float(rows.conductivity[0])
+    )
     # a few poses are solved densely: positions of metres in single precision cost a weak echo four digits
     for channel, stored in zip(np.asarray(channels), unpack(rows.true_channel)):
         assert np.linalg.norm(channel - stored) < 5e-4 * np.linalg.norm(stored)
@@ -192,29 +235,90 @@ def mesh(tmp_path_factory):
 
 
 def test_reconstruct_a_drone_from_a_file(capsys, home, mesh, tmp_path):
-    result = call(capsys, "reconstruct", "--mesh", mesh, "--unit", "mm", "--half-wheelbase", 0.25, "--run",
-                  home / "run", "--out", tmp_path / "mine", "--position", "4,5,3", "--pitch", -10)
+    words = [
+        "reconstruct",
+        "--mesh",
+        mesh,
+        "--unit",
+        "mm",
+        "--half-wheelbase",
+        "0.25",
+        "--run",
+        home / "run",
+        "--out",
+        tmp_path / "mine",
+        "--position",
+        "4,5,3",
+        "--pitch",
+        "-10",
+    ]
+    result = call(capsys, *words)
     assert {path.name for path in (tmp_path / "mine").iterdir()} == FILES | {"reconstruct.png"}
-    slot, = result["slots"]
+    (slot,) = result["slots"]
     np.testing.assert_allclose(slot["position"], [4.0, 5.0, 3.0])
     # nose up by 10 degrees: the normal leans back
     lean = math.radians(10)
     np.testing.assert_allclose(slot["normal"], [-math.sin(lean), 0.0, math.cos(lean)], atol=1e-6)
+    # the numbers say how they came about
+    craft = json.loads((tmp_path / "mine" / "metrics.json").read_text())["craft"]
+    assert (craft["mesh"]["path"], craft["mesh"]["unit_m"], craft["mesh"]["up"]) == (str(mesh), 0.001, "z")
+    assert (craft["half_wheelbase_m"], craft["pitch_deg"]) == (0.25, -10.0)
+    assert craft["mesh_sha256"] == hashlib.sha256(mesh.read_bytes()).hexdigest()
+    program, *back = shlex.split(result["command_line"])
+    assert program == "august" and back == [*map(str, words), "--json"]
 
 
-@pytest.mark.parametrize("extra, wanted", [
-    ([], ["half", "0.25", "unit"]),
-    (["--unit", "furlong"], ["--unit 'furlong'", "mm"]),
-    (["--unit", "mm", "--up", "w"], ["--up 'w'"]),
-    (["--unit", "mm", "--position", "40,5,3"], ["position", "40", "x 3 to 7", "5,6,3.5"]),
-    (["--unit", "mm", "--roll", "60"], ["roll", "60", "30 degrees"]),
-    (["--unit", "mm", "--roll", "26", "--pitch", "30"], ["by 38.9 degrees", "30 degrees"]),
-    (["--unit", "mm", "--pitch", "35", "--yaw", "45"], ["by 35 degrees", "30 degrees"]),
-    (["--unit", "mm", "--permittivity", "12"], ["permittivity", "12", "1.5 to 5"]),
-    (["--unit", "mm", "--conductivity", "2"], ["conductivity", "0.001 to 0.01 S/m"]),
-    (["--unit", "mm", "--pitch", "70", "flight.tilt_deg=80"], ["70 degrees", "30 degrees"]),
-    (["--unit", "mm", "--snr", "300"], ["--snr", "300", "-100 to 100 dB"]),
-])
+def test_lines_to_try_next_hold_what_was_given(capsys, home, mesh, tmp_path, monkeypatch):
+    """They are pasted: unit, axes, size, place and run are those of the result, quoted where a path needs it."""
+    from august_jax.app import report
+
+    written = {}
+    monkeypatch.setattr(report, "write_report", lambda *args, following, **rest: written.update(following=following))
+    spaced = tmp_path / "my drones" / "one of them.stl"
+    spaced.parent.mkdir()
+    shutil.copy(mesh, spaced)
+    call(
+        capsys,
+        "reconstruct",
+        "--mesh",
+        spaced,
+        "--unit",
+        "mm",
+        "--forward",
+        "-y",
+        "--half-wheelbase",
+        "0.25",
+        "--run",
+        home / "run",
+        "--out",
+        tmp_path / "the result",
+        "--position",
+        "4,5,3",
+        "evaluate.sampler_steps=2",
+    )
+    another, accuracy, export = (parse(shlex.split(line)[1:], cli.COMMANDS) for line, _ in written["following"])
+    assert (another.mesh, another.unit, another.up, another.forward) == (str(spaced), "mm", "z", "-y")
+    assert (another.half_wheelbase, another.position, another.run) == (0.25, (4.0, 5.0, 3.0), str(home / "run"))
+    assert another.overrides == accuracy.overrides == ["evaluate.sampler_steps=2"]
+    assert accuracy.rest == [str(home / "run")] and export.rest == [str(tmp_path / "the result")]
+
+
+@pytest.mark.parametrize(
+    "extra, wanted",
+    [
+        ([], ["half", "0.25", "unit"]),
+        (["--unit", "furlong"], ["--unit 'furlong'", "mm"]),
+        (["--unit", "mm", "--up", "w"], ["--up 'w'"]),
+        (["--unit", "mm", "--position", "40,5,3"], ["position", "40", "x 3 to 7", "5,6,3.5"]),
+        (["--unit", "mm", "--roll", "60"], ["roll", "60", "30 degrees"]),
+        (["--unit", "mm", "--roll", "26", "--pitch", "30"], ["by 38.9 degrees", "30 degrees"]),
+        (["--unit", "mm", "--pitch", "35", "--yaw", "45"], ["by 35 degrees", "30 degrees"]),
+        (["--unit", "mm", "--permittivity", "12"], ["permittivity", "12", "1.5 to 5"]),
+        (["--unit", "mm", "--conductivity", "2"], ["conductivity", "0.001 to 0.01 S/m"]),
+        (["--unit", "mm", "--pitch", "70", "flight.tilt_deg=80"], ["70 degrees", "30 degrees"]),
+        (["--unit", "mm", "--snr", "300"], ["--snr", "300", "-100 to 100 dB"]),
+    ],
+)
 def test_reconstruct_refuses_what_the_weights_do_not_know(capsys, home, mesh, tmp_path, extra, wanted):
     message = refused(capsys, "reconstruct", "--mesh", mesh, "--run", home / "run", "--out", tmp_path / "out", *extra)
     assert all(text in message for text in wanted), message

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import hashlib
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -61,3 +62,9 @@ def chosen_weights(args: argparse.Namespace, run: str | None) -> tuple[Networks,
     config = configuration.override(networks.config, args.overrides)
     configuration.check_weights(config, networks.config)
     return networks, config
+
+
+def sha256_of(path: Path) -> str:
+    """The SHA-256 of a file's content, in hexadecimal."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -15,11 +15,13 @@ from august_jax.config import bounds
 
 def _arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=whole(), default=0, metavar="N", help="of flight, material, noise (default 0)")
-    parser.add_argument("--snr", type=number("signal.snr_db"), default=20.0, metavar="DB",
-                        help="SNR of the echo [dB] (default 20)")
+    parser.add_argument(
+        "--snr", type=number("signal.snr_db"), default=20.0, metavar="DB", help="SNR of the echo [dB] (default 20)"
+    )
     most = int(bounds("flight.slots").high)
-    parser.add_argument("--slots", type=whole(1, most), default=12, metavar="N",
-                        help="length of the flight (default 12)")
+    parser.add_argument(
+        "--slots", type=whole(1, most), default=12, metavar="N", help="length of the flight (default 12)"
+    )
     parser.add_argument("--airframe", metavar="NAME", help="a procedural airframe (default: drawn)")
     parser.add_argument("--run", metavar="RUN", help="weights of your own training run (default: the shipped ones)")
 
@@ -30,15 +32,36 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
     started = time.monotonic()
     networks, config = chosen_weights(args, args.run)
     shot = pipeline.draw_scenario(config, args.seed, args.slots, args.airframe)
-    note(f"{shot.airframe.name} flies {args.slots} slots, permittivity {shot.permittivity:.2f}, "
-         f"conductivity {1e3 * shot.conductivity:.1f} mS/m")
+    note(
+        f"{shot.airframe.name} flies {args.slots} slots, permittivity {shot.permittivity:.2f}, "
+        f"conductivity {1e3 * shot.conductivity:.1f} mS/m"
+    )
     again = [*options(args, "airframe", "run"), *args.overrides]
-    return sensed(args, networks, config, shot, started, following=[
-        (command_line("reconstruct", "--mesh", "FILE", "--half-wheelbase", f"{config.target.half_wheelbase_m:g}",
-                      *options(args, "run"), *args.overrides), "your own drone, in any pose"),
-        (command_line("demo", "--seed", str(args.seed + 1), "--snr", "30", "--slots", str(args.slots), *again),
-         "another flight, at a better SNR"),
-    ])
+    return sensed(
+        args,
+        networks,
+        config,
+        shot,
+        started,
+        following=[
+            (
+                command_line(
+                    "reconstruct",
+                    "--mesh",
+                    "FILE",
+                    "--half-wheelbase",
+                    f"{config.target.half_wheelbase_m:g}",
+                    *options(args, "run"),
+                    *args.overrides,
+                ),
+                "your own drone, in any pose",
+            ),
+            (
+                command_line("demo", "--seed", str(args.seed + 1), "--snr", "30", "--slots", str(args.slots), *again),
+                "another flight, at a better SNR",
+            ),
+        ],
+    )
 
 
 COMMAND = Command("fly a short track and reconstruct it with the shipped weights", _arguments, _run)

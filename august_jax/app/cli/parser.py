@@ -131,6 +131,8 @@ def parse(words: Sequence[str], commands: Mapping[str, Command]) -> argparse.Nam
             raise UsageError(
                 f"--{each.replace('_', '-')}: '' is empty; leave it out, or give a value\nsee: august {name} --help"
             )
+    if "" in args.rest:
+        raise UsageError(f"'': an empty argument; leave it out, or give a value\nsee: august {name} --help")
     args.command, args.options, args.words = name, tuple(_options(parser)), tuple(words)
     args.overrides = [text for text in args.rest if _ASSIGNMENT.match(text)]
     args.rest = [text for text in args.rest if not _ASSIGNMENT.match(text)]

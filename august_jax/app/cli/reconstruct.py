@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import argparse
 import time
+from pathlib import Path
 from typing import Any
 
-from august_jax.app.cli.common import chosen_weights
+from august_jax.app.cli.common import chosen_weights, sha256_of
 from august_jax.app.cli.messages import command_line, note, options
 from august_jax.app.cli.parser import ANGLE, Command, number, numbers, whole
 from august_jax.app.cli.sensing import sensed
@@ -14,21 +15,37 @@ from august_jax.app.cli.sensing import sensed
 
 def _arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--mesh", required=True, metavar="FILE", help="OBJ, STL, PLY, GLB, or DAE with the extra [dae]")
-    parser.add_argument("--unit", default="m", help="of the file: m, cm, mm, in, ft, or metres a unit (default m)")
-    parser.add_argument("--up", default="z", metavar="AXIS", help="the file's upward axis (default z)")
-    parser.add_argument("--forward", default="x", metavar="AXIS", help="the file's forward axis (default x)")
-    parser.add_argument("--half-wheelbase", type=number("target.half_wheelbase_m"), metavar="M",
-                        help="scale to this half-wheelbase [m]")
-    parser.add_argument("--position", type=numbers(3, "flight.box_m"), metavar="X,Y,Z",
-                        help="[m] (default: the flight box's centre)")
+    parser.add_argument(
+        "--unit",
+        default="auto",
+        help="of the file: m, cm, mm, in, ft, or metres a unit (default: what the file or its format says, else m)",
+    )
+    parser.add_argument(
+        "--up",
+        default="auto",
+        metavar="AXIS",
+        help="the file's upward axis, such as y or -z (default: the format's, else z)",
+    )
+    parser.add_argument(
+        "--forward", default="auto", metavar="AXIS", help="the file's forward axis (default: the format's, else x)"
+    )
+    parser.add_argument(
+        "--half-wheelbase", type=number("target.half_wheelbase_m"), metavar="M", help="scale to this half-wheelbase [m]"
+    )
+    parser.add_argument(
+        "--position", type=numbers(3, "flight.box_m"), metavar="X,Y,Z", help="[m] (default: the flight box's centre)"
+    )
     for angle in ("yaw", "pitch", "roll"):
         parser.add_argument(f"--{angle}", type=number(ANGLE), default=0.0, metavar="DEG", help="[deg] (default 0)")
-    parser.add_argument("--permittivity", type=number("target.permittivity"), metavar="EPS",
-                        help="relative (default: mid-range)")
-    parser.add_argument("--conductivity", type=number("target.conductivity_s_m"), metavar="S",
-                        help="[S/m] (default: mid-range)")
-    parser.add_argument("--snr", type=number("signal.snr_db"), default=20.0, metavar="DB",
-                        help="SNR of the echo [dB] (default 20)")
+    parser.add_argument(
+        "--permittivity", type=number("target.permittivity"), metavar="EPS", help="relative (default: mid-range)"
+    )
+    parser.add_argument(
+        "--conductivity", type=number("target.conductivity_s_m"), metavar="S", help="[S/m] (default: mid-range)"
+    )
+    parser.add_argument(
+        "--snr", type=number("signal.snr_db"), default=20.0, metavar="DB", help="SNR of the echo [dB] (default 20)"
+    )
     parser.add_argument("--seed", type=whole(), default=0, metavar="N", help="of prediction and noise (default 0)")
     parser.add_argument("--run", metavar="RUN", help="weights of your own training run (default: the shipped ones)")
 
@@ -38,22 +55,45 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
     from august_jax.scene import load_airframe
 
     started = time.monotonic()
-    airframe = load_airframe(args.mesh, unit=args.unit, up=args.up, forward=args.forward,
-                             half_wheelbase_m=args.half_wheelbase)
+    airframe = load_airframe(
+        args.mesh, unit=args.unit, up=args.up, forward=args.forward, half_wheelbase_m=args.half_wheelbase
+    )
     networks, config = chosen_weights(args, args.run)
-    shot = pipeline.pose_scenario(networks.config, airframe, position=args.position, yaw_deg=args.yaw, pitch_deg=args.pitch,
-                         roll_deg=args.roll, permittivity=args.permittivity, conductivity=args.conductivity)
-    note(f"{airframe.name}: half-wheelbase {airframe.half_wheelbase_m:.3f} m, at "
-         f"({', '.join(f'{value:.2f}' for value in shot.positions[0])}) m")
-    again = options(args, "mesh", "unit", "up", "forward", "half_wheelbase", "position", "permittivity", "conductivity",
-                    "run")
-    return sensed(args, networks, config, shot, started, made={
-        "mesh": str(args.mesh), "unit": args.unit, "up": args.up, "forward": args.forward,
-        "surface_digest": airframe.digest, "yaw_deg": args.yaw, "pitch_deg": args.pitch, "roll_deg": args.roll,
-    }, following=[
-        (command_line("reconstruct", *again, "--snr", "30", "--yaw", "45", "--pitch", "15", *args.overrides),
-         "another pose, at a better SNR"),
-    ])
+    shot = pipeline.pose_scenario(
+        networks.config,
+        airframe,
+        position=args.position,
+        yaw_deg=args.yaw,
+        pitch_deg=args.pitch,
+        roll_deg=args.roll,
+        permittivity=args.permittivity,
+        conductivity=args.conductivity,
+    )
+    source = airframe.source
+    assert source is not None  # of a loaded mesh
+    note(f"{args.mesh}: {source}")
+    note(
+        f"{airframe.name}: half-wheelbase {airframe.half_wheelbase_m:.3f} m, at "
+        f"({', '.join(f'{value:.2f}' for value in shot.positions[0])}) m"
+    )
+    craft = {
+        "mesh": source.record(),
+        "mesh_sha256": sha256_of(Path(args.mesh)),
+        "surface_digest": airframe.digest,
+        "half_wheelbase_m": airframe.half_wheelbase_m,
+        "yaw_deg": args.yaw,
+        "pitch_deg": args.pitch,
+        "roll_deg": args.roll,
+    }
+    taken = {"unit": f"{source.unit_m:.12g}", "up": source.up, "forward": source.forward}
+    again = options(
+        argparse.Namespace(**vars(args) | {name: text for name, text in taken.items() if vars(args)[name] == "auto"}),
+        *("mesh", "unit", "up", "forward", "half_wheelbase", "position", "permittivity", "conductivity", "run"),
+    )
+    another = command_line("reconstruct", *again, "--snr", "30", "--yaw", "45", "--pitch", "15", *args.overrides)
+    return sensed(
+        args, networks, config, shot, started, craft=craft, following=[(another, "another pose, at a better SNR")]
+    )
 
 
 COMMAND = Command("your own drone from a mesh file, at one pose", _arguments, _run)

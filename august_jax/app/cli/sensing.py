@@ -17,8 +17,15 @@ if TYPE_CHECKING:
     from august_jax.pipeline import Networks, Scenario
 
 
-def sensed(args: argparse.Namespace, networks: Networks, config: Config, shot: Scenario, started: float,
-           following: Sequence[tuple[str, str]], made: Mapping[str, Any] | None = None) -> dict[str, Any]:
+def sensed(
+    args: argparse.Namespace,
+    networks: Networks,
+    config: Config,
+    shot: Scenario,
+    started: float,
+    following: Sequence[tuple[str, str]],
+    craft: Mapping[str, Any] | None = None,
+) -> dict[str, Any]:
     """Sense ``shot``, write report, picture, clouds and numbers, and return the numbers.
 
     Args:
@@ -27,7 +34,7 @@ def sensed(args: argparse.Namespace, networks: Networks, config: Config, shot: S
         shot: what flies.
         started: :func:`time.monotonic` when the command began [s].
         following: pairs of a command line to try next and what it does.
-        made: how the craft came about, kept with the numbers.
+        craft: where the craft came from and how it was turned, kept with the numbers; None for a flight that was drawn.
     """
     from august_jax import evaluation, pipeline
     from august_jax.app import plotting, report
@@ -36,14 +43,19 @@ def sensed(args: argparse.Namespace, networks: Networks, config: Config, shot: S
 
     command = args.command
     out = folder(args, f"august_{command}", configured=True)
-    following = [*following, (command_line("evaluate", *([args.run] if args.run else []), "--seed", "1",
-                                           *args.overrides), "the accuracy over SNR, beside its baselines"),
-                 (command_line("export", str(out), "--format", "mat"), "the clouds for MATLAB")]
+    following = [
+        *following,
+        (
+            command_line("evaluate", *([args.run] if args.run else []), "--seed", "1", *args.overrides),
+            "the accuracy over SNR, beside its baselines",
+        ),
+        (command_line("export", str(out), "--format", "mat"), "the clouds for MATLAB"),
+    ]
     track = pipeline.sense(networks, config, shot, seed=args.seed, snr_db=args.snr, progress=note)
     scores = evaluation.score_track(track, config, shot.airframe.half_wheelbase_m)
     seconds = time.monotonic() - started
     mean = {row["scheme"]: row for row in scores["schemes"]}
-    slots = len(track.time_s)
+    slots = track.slots
     lead = (
         f"{'Over ' + str(slots) + ' slots the' if slots > 1 else 'The'} reconstructed cloud puts the drone "
         f"{100 * mean['august']['mpe_m']:.1f} cm from where it is{' on average' if slots > 1 else ''}; "
@@ -52,9 +64,13 @@ def sensed(args: argparse.Namespace, networks: Networks, config: Config, shot: S
     title = f"{shot.airframe.name} at {args.snr:g} dB, seen by {config.array.count} antennas"
     setup = [
         ("weights", networks.name),
-        ("array", f"{config.array.nx} x {config.array.nz} at "
-                  f"{', '.join(f'{tone / 1e9:g}' for tone in config.array.frequencies_hz)} GHz"),
+        (
+            "array",
+            f"{config.array.nx} x {config.array.nz} at "
+            f"{', '.join(f'{tone / 1e9:g}' for tone in config.array.frequencies_hz)} GHz",
+        ),
         ("drone", f"{shot.airframe.name}, half-wheelbase {shot.airframe.half_wheelbase_m:.3f} m"),
+        *([("mesh", f"{args.mesh}: {shot.airframe.source}")] if shot.airframe.source else []),
         ("material", f"permittivity {track.permittivity:.2f}, conductivity {1e3 * track.conductivity:.2f} mS/m"),
         ("channel", f"full-wave ({config.data.solver}), {config.signal.estimator} estimate"),
         ("sampler", f"{config.evaluate.sampler}, {_sampler_steps(config)} steps, {config.target.points} points"),
@@ -63,17 +79,34 @@ def sensed(args: argparse.Namespace, networks: Networks, config: Config, shot: S
         ("command", command_line(*args.words)),
         ("computed in", f"{seconds:.0f} s"),
     ]
-    metrics = {"command": command, "command_line": command_line(*args.words), "snr_db": args.snr, "seed": args.seed,
-               "seconds": round(seconds, 1), "weights": networks.name, "airframe": shot.airframe.name,
-               "half_wheelbase_m": shot.airframe.half_wheelbase_m, "made": dict(made or {}), **scores}
+    metrics = {
+        "command": command,
+        "command_line": command_line(*args.words),
+        "snr_db": args.snr,
+        "seed": args.seed,
+        "seconds": round(seconds, 1),
+        "weights": networks.name,
+        "airframe": shot.airframe.name,
+        **({"craft": dict(craft)} if craft else {}),
+        **scores,
+    }
     span = {"permittivity": config.target.permittivity, "conductivity": config.target.conductivity_s_m}
     write_record(out / "clouds.npz", track.record())
     write_ply(out / "cloud.ply", track.points[-1], track.point_permittivity[-1], track.point_conductivity[-1])
     write_text(out / "metrics.json", json.dumps(metrics, indent=1, allow_nan=False))
     write_text(out / "config.yaml", configuration.to_yaml(config))
     plotting.clouds(track, out / f"{command}.png", permittivity=span["permittivity"], title=title)
-    report.write_report(out / "report.html", track, scores, title=title, lead=lead, note=evaluation.NOTE, setup=setup,
-                        following=following, **span)
+    report.write_report(
+        out / "report.html",
+        track,
+        scores,
+        title=title,
+        lead=lead,
+        note=evaluation.NOTE,
+        setup=setup,
+        following=following,
+        **span,
+    )
     files = ["report.html", f"{command}.png", "cloud.ply", "metrics.json", "config.yaml", "clouds.npz"]
     say(args, f"\n{title}\n{lead}\n")
     say(args, scheme_table(scores["schemes"], snr=False))
