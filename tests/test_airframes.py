@@ -357,6 +357,8 @@ def test_a_name_carries_unit_and_axes_of_its_mesh(craft_file, crafts, tmp_path):
 def test_what_stands_after_a_name_is_checked(craft_file, query):
     with pytest.raises(ValueError, match=r"is not one of unit, up, forward, each once and with a value"):
         resolve_airframe(f"{craft_file('stl')}?{query}", 0.25)
+    with pytest.raises(ValueError, match=r"airframe '.*craft.stl\?up=w': up='w'"):
+        resolve_airframe(f"{craft_file('stl')}?up=w", 0.25)
 
 
 # half-wheelbase of a bare mesh

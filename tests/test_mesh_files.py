@@ -393,6 +393,15 @@ def test_arguments_that_agree_with_the_file_are_silent(tmp_path):
     assert load_airframe(tmp_path / name, unit="m", up="y", forward="z").mesh.extents[2] == pytest.approx(0.0)
 
 
+def test_a_craft_on_its_side_is_doubted_unless_it_was_asked_for(tmp_path):
+    name, content = plate_file("obj", TO_Y_UP)
+    (tmp_path / name).write_bytes(content)
+    assert "stands 0.5 m high" not in str(load_airframe(tmp_path / name, up="y").source)
+    turned = load_airframe(tmp_path / name)
+    assert "it stands 0.5 m high and is 0 m wide: if that is wrong, give up" in str(turned.source)
+    assert not load_airframe(tmp_path / name, up="z").source.doubt
+
+
 def test_a_written_craft_comes_back_from_every_format(tmp_path):
     craft = procedural_airframe("hexa")
     for kind in ("obj", "stl", "ply", "glb"):
@@ -451,6 +460,7 @@ BAD_FILES = {
     "zero.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 0 1 2\n", "line 4: .* indices start at 1"),
     "far-back.obj": (b"v 0 0 0\nv 1 0 0\nf -3 -2 -1\nv 0 1 0\n", "line 3: .* back from the 2 vertices"),
     "short.obj": (b"v 0 0\nv 1 0 0\nf 1 2 1\n", "line 1: a vertex of 2 numbers"),
+    "huge.obj": (b"v 0 0 0\nv 1e300 0 0\nv 0 1e300 0\nf 1 2 3\n", r"is 1e\+300 m long with unit=1 m"),
     "word.obj": (b"v 0 0 0\nv 1 0 x\nf 1 2 1\n", "a vertex is not three numbers"),
     "half.obj": (b"v 0 0 0\nf 1 2 b\n", "line 2: .* no face of whole numbers"),
     "few.stl": (stl(TETRAHEDRON, SIDES)[:-60], "counts 4 facets .* hold 2 and a part of one"),
@@ -474,7 +484,9 @@ BAD_FILES = {
     "bare.gltf": (json.dumps(GLTF).replace('"bufferView": 0, ', "").encode(), "accessor 0 holds no data"),
     "overrun.gltf": (of_one_accessor(count=40), "40 elements end at byte 480 of a buffer"),
     "sparse.gltf": (altered(gltf(TETRAHEDRON, SIDES, sparse=([1, 9], TETRAHEDRON[:2]))), "names element 9 of 4"),
+    "nowhere.gltf": (altered(GLTF, buffers=[{"byteLength": 120}]), "buffer 0 is nowhere"),
     "ring.gltf": (altered(GLTF, nodes=[{"mesh": 0, "children": [0]}]), "node 0 is reached twice"),
+    "bufferless.gltf": (json.dumps({k: v for k, v in GLTF.items() if k != "buffers"}).encode(), "'buffers' is missing"),
     "nodes.gltf": (altered(GLTF, scenes=[{"nodes": [7]}]), "IndexError"),
     "cut.dae": (DAE[:600].encode(), "no well-formed XML"),
     "ampersand.dae": (b'<?xml version="1.0"?><COLLADA><a name="bolt & nut"/></COLLADA>', "no well-formed XML"),

@@ -4,11 +4,13 @@ from august_jax.scene.airframes import (
     AIRFRAMES,
     Airframe,
     load_airframe,
+    mesh_path,
     procedural_airframe,
     resolve_airframe,
     sample_triangles,
 )
 from august_jax.scene.cloud import WorldCloud, from_cloud, position_estimate, to_cloud
+from august_jax.scene.mesh_files import MeshSource
 from august_jax.scene.pose import random_rotation, rotation_from_euler, rotation_from_quaternion, tilt, transform
 from august_jax.scene.scenario import Scenario, draw_scenario, pose_scenario
 from august_jax.scene.trajectory import Flight, fly, fly_many
@@ -17,6 +19,7 @@ __all__ = [
     "AIRFRAMES",
     "Airframe",
     "Flight",
+    "MeshSource",
     "Scenario",
     "WorldCloud",
     "draw_scenario",
@@ -24,6 +27,7 @@ __all__ = [
     "fly_many",
     "from_cloud",
     "load_airframe",
+    "mesh_path",
     "position_estimate",
     "pose_scenario",
     "procedural_airframe",

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import hashlib
 import warnings
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -227,6 +227,7 @@ def load_airframe(
         airframe = _airframe(Path(path).stem, surface.vertices, surface.faces, None, source=source)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
+    airframe = replace(airframe, source=source.doubted(np.asarray(airframe.mesh.extents)))
     return airframe if half_wheelbase_m is None else airframe.scaled(half_wheelbase_m)
 
 
@@ -247,7 +248,10 @@ def resolve_airframe(text: str, half_wheelbase_m: float) -> Airframe:
         return procedural_airframe(text, half_wheelbase_m)
     path, arguments = _mesh_and_arguments(text)
     if path.suffix.lower() in FORMATS or path.exists():
-        return load_airframe(path, half_wheelbase_m=half_wheelbase_m, **arguments)
+        try:
+            return load_airframe(path, half_wheelbase_m=half_wheelbase_m, **arguments)
+        except ValueError as error:
+            raise ValueError(f"airframe {text!r}: {error}" if arguments else str(error)) from None
     raise ValueError(
         f"airframe {text!r}: neither a family ({', '.join(AIRFRAMES)}) nor a mesh file ({', '.join(FORMATS)})"
     )

@@ -41,6 +41,7 @@ class MeshSource:
         unit_from: who fixed the unit: "given" as an argument, the file or its format in words, or "assumed: ...".
         up_from: who fixed ``up``.
         forward_from: who fixed ``forward``.
+        doubt: what speaks against it, or nothing.
     """
 
     path: str
@@ -50,10 +51,22 @@ class MeshSource:
     unit_from: str
     up_from: str
     forward_from: str
+    doubt: str = ""
 
     def __str__(self) -> str:
         return (f"unit {self.unit_m:g} m ({self.unit_from}), up {self.up} ({self.up_from}), "
-                f"forward {self.forward} ({self.forward_from})")
+                f"forward {self.forward} ({self.forward_from}){'; ' if self.doubt else ''}{self.doubt}")
+
+    def doubted(self, extents: Float[np.ndarray, "3"]) -> MeshSource:
+        """The same, with a doubt where a craft of these extents [m] stands higher than it is wide and nobody said so.
+
+        Rotors lie in the horizontal plane: ten published multirotors are at most 0.6 times as high as wide. Tools that
+        write ``Y_UP`` into every file are common.
+        """
+        if self.up_from == _GIVEN or extents[2] <= extents[:2].min():
+            return self
+        return dataclasses.replace(self, doubt=f"it stands {extents[2]:.3g} m high and is {extents[:2].min():.3g} m "
+                                               "wide: if that is wrong, give up")
 
     def arguments(self) -> dict[str, str | float]:
         """Arguments of :func:`~august_jax.scene.load_airframe` that read the file in the same way."""

@@ -182,8 +182,10 @@ class _Reader:
     def buffer(self, index: int) -> bytes:
         if index not in self.buffers:
             uri = self.document["buffers"][index].get("uri")
-            if uri is None:
+            if uri is None and index == 0 and self.binary:
                 self.buffers[index] = self.binary
+            elif uri is None:
+                raise DamagedMesh(f"buffer {index} is nowhere: it has no uri, and the file no binary chunk for it")
             elif uri.startswith("data:"):
                 self.buffers[index] = base64.b64decode(uri.partition(",")[2])
             else:

@@ -33,7 +33,7 @@ def triangulated(
     Raises:
         DamagedMesh: a corner names a vertex that is not there.
     """
-    check_indices(corners.reshape(-1, 1), len(vertices), "corners of polygons")
+    check_indices(corners.reshape(-1, 1), len(vertices), what="corners of faces")
     starts = np.cumsum(counts) - counts
     faces, order = [np.zeros((0, 3), np.int64)], [np.zeros(0, np.int64)]
     for size in np.unique(counts[counts >= 1]):

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+
 from august_jax.scene.mesh_files.dae import read_dae
 from august_jax.scene.mesh_files.frame import AUTO, MeshSource, check_frame, chosen_frame
 from august_jax.scene.mesh_files.gltf import DECLARED, read_gltf
@@ -18,6 +20,8 @@ from august_jax.scene.mesh_files.surface import DamagedMesh, Declared, Surface
 
 FORMATS = (".obj", ".stl", ".ply", ".glb", ".gltf", ".dae")
 """Endings of the mesh files that are read."""
+_LARGEST_M = 1e6
+"""A craft drawn in micrometres and read as metres is smaller; what is larger is damage, and overflows."""
 
 
 def read_mesh(
@@ -48,16 +52,22 @@ def read_mesh(
     if not content:
         raise ValueError(f"{path}: is empty (0 bytes), not a {kind} file; export or copy it again")
     try:
-        surface, declared = _read(kind, content, path.parent)
+        with np.errstate(over="ignore", invalid="ignore"):  # places so large are refused below
+            surface, declared = _read(kind, content, path.parent)
     except DamagedMesh as error:
         raise ValueError(f"{path}: not a readable {kind} file: {error}") from None
-    except (LookupError, ValueError, TypeError, AttributeError, ArithmeticError, RecursionError) as error:
+    except (LookupError, ValueError, TypeError, AttributeError, ArithmeticError, RecursionError, MemoryError) as error:
         # a document whose parts are not of the kinds that its format wants
-        reason = (str(error) or type(error).__name__).splitlines()[0][:120]
-        raise ValueError(f"{path}: not a readable {kind} file ({type(error).__name__}: {reason})") from None
+        reason = f"{error} is missing" if isinstance(error, KeyError) else (str(error) or "no reason").splitlines()[0]
+        raise ValueError(f"{path}: not a readable {kind} file ({type(error).__name__}: {reason[:120]})") from None
     if not len(surface.faces):
         raise ValueError(f"{path}: holds no faces; wanted a surface, not points or lines")
     source = chosen_frame(str(path), declared, unit, up, forward)
+    with np.errstate(over="ignore"):
+        extent = float(np.ptp(surface.vertices[surface.faces].reshape(-1, 3), axis=0).max()) * source.unit_m
+    if extent > _LARGEST_M:
+        raise ValueError(f"{path}: is {extent:.3g} m long with unit={source.unit_m:g} m, and no more than "
+                         f"{_LARGEST_M:g} m is read; give its unit, or export it again")
     return Surface(surface.vertices @ source.rotation().T * source.unit_m, surface.faces), source
 
 

@@ -73,13 +73,13 @@ def check_places(vertices: np.ndarray, part: str = "") -> Float[np.ndarray, "V 3
     return places
 
 
-def check_indices(faces: np.ndarray, count: int, part: str = "") -> None:
-    """Raise :class:`DamagedMesh` where indices (F, 3), from 0, do not name one of ``count`` vertices."""
+def check_indices(faces: np.ndarray, count: int, part: str = "", what: str = "faces") -> None:
+    """Raise :class:`DamagedMesh` where indices (F, n), from 0, do not name one of ``count`` vertices."""
     outside = (faces < 0) | (faces >= count)
     if outside.any():
         where = f"{part}: " if part else ""
         raise DamagedMesh(
-            f"{where}{int(outside.any(axis=1).sum())} of {len(faces)} faces name a vertex that is not there, such as "
+            f"{where}{int(outside.any(axis=1).sum())} of {len(faces)} {what} name a vertex that is not there, such as "
             f"index {int(faces[outside][0])} (from 0) of {count} vertices; export the mesh again"
         )
 
