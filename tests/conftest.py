@@ -17,7 +17,12 @@ CHECKED = (
     "august_jax.app.devices",
     "august_jax.app.sums",
     "august_jax.physics.green",
+    "august_jax.scene.airframes",
+    "august_jax.scene.families",
+    "august_jax.scene.lattice",
+    "august_jax.scene.mesh_files",
     "august_jax.scene.pose",
+    "august_jax.scene.rotors",
 )
 """Modules whose annotations are checked, each with all below it. Configurations check themselves, and say it better."""
 
