@@ -16,6 +16,7 @@ import pytest
 CHECKED = (
     "august_jax.app.devices",
     "august_jax.app.sums",
+    "august_jax.models",
     "august_jax.physics.green",
     "august_jax.scene.airframes",
     "august_jax.scene.families",
@@ -23,6 +24,7 @@ CHECKED = (
     "august_jax.scene.mesh_files",
     "august_jax.scene.pose",
     "august_jax.scene.rotors",
+    "august_jax.training",
 )
 """Modules whose annotations are checked, each with all below it. Configurations check themselves, and say it better."""
 

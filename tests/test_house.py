@@ -22,7 +22,7 @@ ALLOWED = {
     "scene": BASE | {"physics.cells"},
     "signal": BASE | {"physics"},
     "data": BASE | {"physics", "scene", "signal"},
-    "models": BASE | {"signal.roi", "data.fields"},
+    "models": BASE | {"signal.roi"},
     "tracking": BASE | {"signal", "scene.cloud"},
     "training": BASE | {"models", "data"},
     "schemes": BASE | {"models", "tracking", "signal", "scene"},

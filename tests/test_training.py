@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 from august_jax.config import preset
+from august_jax.data.fields import Batch
 from august_jax.files import DamagedFile
 from august_jax.models import reconstruct
+from august_jax.signal.roi import Coefficients
 from august_jax.training import Checkpoints, compiled_step, initial_state, load_weights, save_weights, train
 from august_jax.training.checkpoint import flatten, warm_start
 
@@ -37,8 +39,9 @@ def next_batch(step, count=CONFIG.train.batch):
     cloud[..., :2] = generator.uniform(-0.2, 0.2, (count, 12, 2))
     cloud[..., 2] = 0.0
     cloud[..., :3] += offset[:, None]
-    return {"channel": (1e-6 * channel).astype(np.complex64), "cloud": cloud.astype(np.float32),
-            "predicted": np.tile(np.float32([5, 6, 3]), (count, 1)), "snr_db": np.full(count, 20.0, np.float32)}
+    predicted = np.tile(np.float32([5, 6, 3]), (count, 1))
+    return Batch(predicted, np.full(count, 20.0, np.float32), cloud.astype(np.float32),
+                 coefficients=Coefficients((1e-6 * channel).astype(np.complex64), predicted))
 
 
 def same(one, two):
@@ -140,7 +143,7 @@ def test_a_loss_that_is_not_finite_stops_the_run_by_name(tmp_path):
     def poisoned(step):
         batch = next_batch(step)
         if step == 1:
-            batch["cloud"][0, :, 4] = np.nan
+            batch.cloud[0, :, 4] = np.nan
         return batch
 
     with pytest.raises(FloatingPointError, match="step 2 gave .* not finite in .*material"):
@@ -170,9 +173,9 @@ def test_training_learns_where_the_target_is():
     for number in range(300):
         state, _ = compiled_step(layout.loss, settings.train, state, next_batch(number, 64))
     test = next_batch(10_000, 64)
-    clouds = reconstruct(layout.graphdef, layout.arrays(np.asarray(state.ema)), jax.random.key(0), test["channel"],
-                         test["predicted"], test["snr_db"], count=64, steps=8)
-    truth = test["cloud"].mean(axis=1)[:, :3]
+    clouds = reconstruct(layout.graphdef, layout.arrays(np.asarray(state.ema)), jax.random.key(0), test.heard,
+                         test.predicted, test.snr_db, count=64, steps=8)
+    truth = test.cloud.mean(axis=1)[:, :3]
     error = np.sqrt(np.mean((np.asarray(clouds)[..., :3].mean(axis=1) - truth) ** 2))
     # not knowing anything gives 0.35, the offset's own spread
     assert error < 0.15, error

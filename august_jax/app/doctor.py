@@ -79,7 +79,7 @@ def _settings() -> tuple[bool, str]:
         return True, "JAX's own"
     return True, ", ".join(found) + (
         "" if found[0].startswith("JAX_PLATFORMS") and len(found) == 1 else
-        "; samples and training are pinned against these, your own calls of JAX are not"
+        "; stored samples come out the same under these, what else is computed may not"
     )
 
 

@@ -29,6 +29,7 @@ from august_jax.data.generate import generate
 from august_jax.data.simulator import prepare_targets
 from august_jax.files import naming, rename, write_text
 from august_jax.progress import Progress, silent
+from august_jax.scene.airframes import mesh_path
 
 _PIECE = 2000  # rows generated between two progress lines
 _FORMAT = 4  # of the columns, their meaning and their streams; in the digest, so that formats never mix
@@ -141,7 +142,8 @@ def _size(count: int) -> str:
 
 def identity(config: Config) -> str:
     """Digest of all that the stored samples depend on: configuration, format, shard size, content of mesh files."""
-    meshes = {name: _sha256(Path(name)) for name in config.target.airframes if Path(name).is_file()}
+    files = {name: mesh_path(name) for name in config.target.airframes}
+    meshes = {name: _sha256(path) for name, path in files.items() if path is not None}
     return digest_of(data_digest(config), _FORMAT, config.data.shard_rows, meshes)
 
 

@@ -28,26 +28,29 @@ prior; ``refchannel``, see `refchannel`.
 from __future__ import annotations
 
 from functools import partial
+from typing import Any, TypeAlias, get_args
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import nnx
-from jaxtyping import Complex, Float, Key
+from jaxtyping import Float, Key
 
 from august_jax import streams
 from august_jax.arrays import Array
-from august_jax.config import Config
+from august_jax.config import Config, Sampler
 from august_jax.models.craft import KIND_SIZE, READING_SIZE, CraftFrame, Reading, RegionFrame, frame_of
 from august_jax.models.denoiser import Denoiser
 from august_jax.models.diffusion import Sample, Schedule, add_noise, ancestral, dpm, draw_steps
-from august_jax.models.encoder import ChannelInput, Encoder, Seen
+from august_jax.models.encoder import ChannelInput, Encoder, Heard, Seen
 from august_jax.models.flow import RealNVP
 from august_jax.models.layers import MLP, dense
 from august_jax.models.refchannel import RefChannel
 from august_jax.models.signature import Signature, shaken
 
-SAMPLERS = ("dpm", "ancestral")
+State: TypeAlias = nnx.State[str, Any]
+"""The networks' arrays in a tree, as nnx splits them from their graphdef."""
+
 _LOG_VARIANCE_LIMIT = 12.0
 _LOG_VARIANCE_START = -4.0
 
@@ -55,7 +58,7 @@ _LOG_VARIANCE_START = -4.0
 class August(nnx.Module):
     """The networks of one scheme; arrays in, arrays out.
 
-    What is received passes :meth:`see` once; the other methods take what was :class:`~encoder.Seen`.
+    What is heard passes :meth:`see` once; the other methods take what was :class:`~encoder.Seen`.
     """
 
     def __init__(self, config: Config, rngs: nnx.Rngs):
@@ -84,18 +87,17 @@ class August(nnx.Module):
         """Whether the scheme has a latent code and a prior."""
         return self.config.model.scheme in ("august", "noebd")
 
-    def see(self, channel: Complex[Array, "batch tones n n"], predicted: Float[Array, "batch 3"],
-            snr_db: Float[Array, " batch"]) -> Seen:
-        """What the networks are told of channels (B, F, N_b, N_b), or of subspace coefficients (B, F, K, K) where the
-        encoder is ``roi``, under predictions (B, 3) [m] and SNRs (B,) [dB].
+    def see(self, heard: Heard, predicted: Float[Array, "batch 3"], snr_db: Float[Array, " batch"]) -> Seen:
+        """What the networks are told of estimated channels (B, F, N_b, N_b), or of their coefficients in the subspace
+        where the encoder is ``roi``, under predictions (B, 3) [m] and SNRs (B,) [dB].
 
         Raises:
-            ValueError: the channel is not of the configuration's array.
+            ValueError: what is heard is not of the configuration's array.
         """
         see = self.reference.see if self.config.model.scheme == "refchannel" else ChannelInput(self.config)
-        return see(channel, jnp.asarray(predicted), jnp.asarray(snr_db))
+        return see(heard, jnp.asarray(predicted), jnp.asarray(snr_db))
 
-    def posterior(self, seen: Seen) -> tuple[Float[Array, "batch latent"], Float[Array, "batch latent"]]:
+    def posterior(self, seen: Seen) -> tuple[Float[jax.Array, "batch latent"], Float[jax.Array, "batch latent"]]:
         """Mean and log-variance of q(z | H_est), each (B, d_z).
 
         Raises:
@@ -108,7 +110,7 @@ class August(nnx.Module):
         raw = self.variance_head(features) + _LOG_VARIANCE_START
         return self.mean_head(features), _LOG_VARIANCE_LIMIT * jnp.tanh(raw / _LOG_VARIANCE_LIMIT)
 
-    def condition(self, seen: Seen, key: Key[Array, ""] | None = None) -> Float[Array, "batch condition"]:
+    def condition(self, seen: Seen, key: Key[Array, ""] | None = None) -> Float[jax.Array, "batch condition"]:
         """What conditions the denoiser, (B, C): the posterior mean or, given a key, a sample of the posterior.
 
         Schemes without a latent code have one deterministic condition and ignore the key.
@@ -135,27 +137,25 @@ class August(nnx.Module):
         offset = self._frame(seen).faced(seen.offset[:, None])[:, 0]
         return reading._replace(place=reading.place + offset)
 
-    def loss(self, key: Key[Array, ""], channel: Complex[Array, "batch tones n n"], predicted: Float[Array, "batch 3"],
-             snr_db: Float[Array, " batch"], cloud: Float[Array, "batch points 5"],
-             reference: Complex[Array, "batch tones n n"] | None = None,
-             ) -> tuple[Float[Array, ""], dict[str, Float[Array, ""]]]:
+    def loss(self, key: Key[Array, ""], heard: Heard, predicted: Array, snr_db: Array, cloud: Array,
+             reference: Heard | None = None) -> tuple[Float[jax.Array, ""], dict[str, Float[jax.Array, ""]]]:
         """The training loss () and its terms, unweighted, by name.
 
         Args:
             key: of all that is drawn.
-            channel, predicted, snr_db: as :meth:`see` takes them.
-            cloud: the true clouds; of more than ``train.points`` points a random subset is used.
-            reference: for the scheme ``refchannel``, the channels at the reference place, of the shape of ``channel``.
+            heard, predicted, snr_db: as :meth:`see` takes them.
+            cloud: the true clouds (B, M, 5); of more than ``train.points`` points a random subset is used.
+            reference: for the scheme ``refchannel``, the same of the channels at the reference place.
 
         Raises:
             ValueError: an array is missing or its shape does not fit.
         """
         train, scheme = self.config.train, self.config.model.scheme
         cloud = jnp.asarray(cloud)
-        self._check(predicted, snr_db, cloud, reference)
+        _check_batch(predicted, snr_db, cloud)
         step_key, noise_key, latent_key, point_key, signature_key = jax.random.split(key, 5)
         clouds, count = cloud.shape[:2]
-        seen = self.see(channel, predicted, snr_db)
+        seen = self.see(heard, predicted, snr_db)
         frame = self._frame(seen)
         terms = {}
         if self.has_latent:
@@ -168,21 +168,24 @@ class August(nnx.Module):
         else:
             estimate = self.reference(seen)
             condition = read = self.reference.channel_map(estimate)
-            terms["reference"] = self.reference.loss(estimate, jnp.asarray(reference))
+            if reference is None:
+                raise ValueError("reference: got None; the scheme 'refchannel' learns from channels at the reference "
+                                 "place")
+            terms["reference"] = self.reference.loss(estimate, reference)
 
-        points, truth = cloud, None
+        points = cloud
         if train.points < count:
             points = cloud[:, jax.random.choice(point_key, count, (train.points,), replace=False)]
         if self.readout_head is not None:
             truth = frame.read(cloud)
             error = self.readout(read, seen).vector() - truth.vector()
             terms["readout"] = jnp.mean(jnp.sum(error**2, axis=-1))
-        if self.signature is not None:
-            draw_key, shake_key = jax.random.split(signature_key)
-            terms["signature"] = self.signature.loss(draw_key, truth.harmonics, condition)
-            truth = truth._replace(harmonics=shaken(shake_key, truth.harmonics))
-            condition = _context(condition, truth)
-        points = frame.into(points, truth)
+            if self.signature is not None:
+                draw_key, shake_key = jax.random.split(signature_key)
+                terms["signature"] = self.signature.loss(draw_key, truth.harmonics, condition)
+                truth = truth._replace(harmonics=shaken(shake_key, truth.harmonics))
+                condition = _context(condition, truth)
+            points = frame.into(points, truth)
         step = draw_steps(step_key, clouds, self.schedule)
         noise = jax.random.normal(noise_key, points.shape)
         noisy = add_noise(points, noise, step, self.schedule)
@@ -193,17 +196,17 @@ class August(nnx.Module):
             "position": train.weight_position, "material": train.weight_material, "latent": train.weight_latent,
             "reference": 1.0, "readout": train.weight_readout, "signature": train.weight_position,
         }
-        return sum(weights[name] * term for name, term in terms.items()), terms
+        return sum((weights[name] * term for name, term in terms.items()), jnp.zeros(())), terms
 
-    def reconstruct(self, key: Key[Array, ""], channel: Complex[Array, "batch tones n n"],
-                    predicted: Float[Array, "batch 3"], snr_db: Float[Array, " batch"], count: int, *,
-                    sampler: str = "dpm", steps: int = 10, sample_latent: bool = False, instants: tuple[int, ...] = (),
-                    ) -> Float[Array, "*instants batch {count} 5"]:
+    def reconstruct(self, key: Key[Array, ""], heard: Heard, predicted: Float[Array, "batch 3"],
+                    snr_db: Float[Array, " batch"], count: int, *, sampler: Sampler = "dpm", steps: int = 10,
+                    sample_latent: bool = False, instants: tuple[int, ...] = (),
+                    ) -> Float[jax.Array, "*instants batch {count} 5"]:
         """Clouds (B, ``count``, 5) drawn given the channels.
 
         Args:
             key: of all that is drawn.
-            channel, predicted, snr_db: as :meth:`see` takes them.
+            heard, predicted, snr_db: as :meth:`see` takes them.
             count: points of a cloud.
             sampler: ``dpm``, with ``steps`` network evaluations, or ``ancestral``, always with all S.
             sample_latent: condition on a sample of the posterior, not on its mean.
@@ -214,8 +217,10 @@ class August(nnx.Module):
             ValueError: an unknown sampler, instants of another than ``ancestral``, or a number of steps that does not
                 fit the schedule.
         """
+        if instants and sampler != "ancestral":
+            raise ValueError(f"instants: {instants} are steps of the sampler ancestral, not of {sampler!r}")
         latent_key, signature_key, key = jax.random.split(key, 3)
-        seen = self.see(channel, predicted, snr_db)
+        seen = self.see(heard, predicted, snr_db)
         context = condition = self.condition(seen, latent_key if sample_latent else None)
         sample, reading = self._sampler(sampler, steps), None
         if self.signature is not None:
@@ -225,64 +230,62 @@ class August(nnx.Module):
             reading = self.readout(condition, seen)._replace(harmonics=harmonics)
             context = _context(condition, reading)
 
-        def denoise(points, step):
+        def denoise(points: jax.Array, step: jax.Array) -> jax.Array:
             return self.denoiser(points, step, context)
 
-        frame, shape = self._frame(seen), (len(context), count, 5)
+        def placed(points: jax.Array) -> jax.Array:
+            return points if reading is None else self._frame(seen).out(points, reading)
+
+        shape = (len(context), count, 5)
         if not instants:
-            return frame.out(sample(key, denoise, shape), reading)
-        if sampler != "ancestral":
-            raise ValueError(f"instants: {instants} are steps of the sampler ancestral, not of {sampler!r}")
+            return placed(sample(key, denoise, shape))
         path = ancestral(key, denoise, shape, self.schedule, instants)
-        return jax.lax.map(lambda points: frame.out(points, reading), path)
+        return jax.lax.map(placed, path)
 
     def _frame(self, seen: Seen) -> RegionFrame | CraftFrame:
         return frame_of(self.config, seen.centre)
 
-    def _sampler(self, name: str, steps: int) -> Sample:
-        """One of SAMPLERS with this schedule."""
+    def _sampler(self, name: Sampler, steps: int) -> Sample:
         if name == "dpm":
             return lambda key, denoise, shape: dpm(key, denoise, shape, self.schedule, steps)
         if name == "ancestral":
             return lambda key, denoise, shape: ancestral(key, denoise, shape, self.schedule)
-        raise ValueError(f"sampler: unknown sampler {name!r}; choose {' or '.join(SAMPLERS)}")
-
-    def _check(self, predicted: Array, snr_db: Array, cloud: Array, reference: Array | None) -> None:
-        if self.config.model.scheme == "refchannel" and reference is None:
-            raise ValueError("reference: got None; the scheme 'refchannel' learns from channels at the reference place")
-        clouds = cloud.shape[0] if cloud.ndim else 0
-        for name, array, shape in (("predicted", predicted, (clouds, 3)), ("snr_db", snr_db, (clouds,)),
-                                   ("cloud", cloud, (clouds, *cloud.shape[1:2], 5))):
-            if array.shape != shape:
-                raise ValueError(f"{name}: got shape {array.shape}; with {clouds} clouds it must be {shape}")
+        raise ValueError(f"sampler: unknown sampler {name!r}; choose {' or '.join(get_args(Sampler))}")
 
 
-def create(config: Config, seed: int) -> tuple[nnx.GraphDef, nnx.State]:
+def create(config: Config, seed: int) -> tuple[nnx.GraphDef, State]:
     """The networks of ``config``, initialised from ``seed``, as (graphdef, state); ``nnx.merge`` joins them again."""
     return nnx.split(August(config, nnx.Rngs(streams.key(seed, "train.parameters"))))
 
 
 @partial(jax.jit, static_argnames=("graphdef", "count", "sampler", "steps", "sample_latent", "instants"))
-def reconstruct(graphdef: nnx.GraphDef, state: nnx.State, key: Key[Array, ""],
-                channel: Complex[Array, "batch tones n n"], predicted: Float[Array, "batch 3"],
-                snr_db: Float[Array, " batch"], *, count: int, sampler: str = "dpm", steps: int = 10,
-                sample_latent: bool = False, instants: tuple[int, ...] = (),
-                ) -> Float[Array, "*instants batch {count} 5"]:
+def reconstruct(graphdef: nnx.GraphDef, state: State, key: Key[Array, ""], heard: Heard,
+                predicted: Float[Array, "batch 3"], snr_db: Float[Array, " batch"], *, count: int,
+                sampler: Sampler = "dpm", steps: int = 10, sample_latent: bool = False, instants: tuple[int, ...] = (),
+                ) -> Float[jax.Array, "*instants batch {count} 5"]:
     """:meth:`August.reconstruct` of networks that :func:`create` split, compiled once for each shape."""
     model = nnx.merge(graphdef, state)
-    return model.reconstruct(key, channel, predicted, snr_db, count, sampler=sampler, steps=steps,
+    return model.reconstruct(key, heard, predicted, snr_db, count, sampler=sampler, steps=steps,
                              sample_latent=sample_latent, instants=instants)
 
 
-def parameter_count(state: nnx.State) -> int:
+def parameter_count(state: State) -> int:
     """Number of trained numbers."""
     return int(sum(np.prod(leaf.shape, dtype=int) for leaf in jax.tree.leaves(state)))
 
 
-def _sample(key: Array, mean: Array, log_variance: Array) -> Array:
+def _check_batch(predicted: Array, snr_db: Array, cloud: Array) -> None:
+    clouds = cloud.shape[0] if cloud.ndim else 0
+    for name, array, shape in (("predicted", predicted, (clouds, 3)), ("snr_db", snr_db, (clouds,)),
+                               ("cloud", cloud, (clouds, *cloud.shape[1:2], 5))):
+        if array.shape != shape:
+            raise ValueError(f"{name}: got shape {array.shape}; with {clouds} clouds it must be {shape}")
+
+
+def _sample(key: Array, mean: jax.Array, log_variance: jax.Array) -> jax.Array:
     return mean + jnp.exp(0.5 * log_variance) * jax.random.normal(key, mean.shape)
 
 
-def _context(condition: Array, reading: Reading) -> Array:
+def _context(condition: Array, reading: Reading) -> jax.Array:
     """The denoiser's context in the craft's frame: the condition, and what craft it is."""
     return jnp.concatenate([condition, reading.kind()], axis=-1)

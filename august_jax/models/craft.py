@@ -69,11 +69,11 @@ class Reading(NamedTuple):
         """Inverse of :meth:`vector`."""
         return cls(*jnp.split(numbers, (3, 5, 8), axis=-1))
 
-    def vector(self) -> Float[Array, "*batch 24"]:
+    def vector(self) -> Float[jax.Array, "*batch 24"]:
         """The parts in the order to which a readout is trained (..., 24)."""
         return jnp.concatenate(self, axis=-1)
 
-    def heading(self) -> Float[Array, "*batch"]:
+    def heading(self) -> Float[jax.Array, "*batch"]:
         """The angle a (...,) [rad] that the strongest harmonic states: arg(c_n)/n.
 
         A craft of n equal arms has one at a, and looks the same from each of the n headings among which a is chosen.
@@ -82,14 +82,14 @@ class Reading(NamedTuple):
         order = jnp.argmax(jnp.abs(values), axis=-1)
         return jnp.angle(jnp.take_along_axis(values, order[..., None], axis=-1)[..., 0]) / (order + 1.0)
 
-    def axes(self) -> Float[Array, "*batch 3 3"]:
+    def axes(self) -> Float[jax.Array, "*batch 3 3"]:
         """R(n) Z(a) (..., 3, 3): its columns are the craft's axes."""
         rotation, angle = _level_axes(self.normal), self.heading()
         cosine, sine = jnp.cos(angle)[..., None], jnp.sin(angle)[..., None]
         x, y = rotation[..., 0], rotation[..., 1]
         return jnp.stack([cosine * x + sine * y, cosine * y - sine * x, rotation[..., 2]], axis=-1)
 
-    def kind(self) -> Float[Array, "*batch 18"]:
+    def kind(self) -> Float[jax.Array, "*batch 18"]:
         """What does not depend on place and attitude (..., 18): the harmonics in the craft's own axes, the material."""
         turn = jnp.exp(-1j * self.heading()[..., None] * jnp.arange(1, HARMONICS + 1))
         values = _complex(self.harmonics) * turn
@@ -105,21 +105,21 @@ KIND_SIZE = 2 * HARMONICS + 2
 class RegionFrame:
     """The paper's frame: points are diffused as the cloud has them. The interface of :class:`CraftFrame`."""
 
-    def faced(self, points: Float[Array, "*batch points coordinates"]) -> Float[Array, "*batch points coordinates"]:
+    def faced(self, points: Float[Array, "*batch points coordinates"]) -> Float[jax.Array, "*batch points coordinates"]:
         """The points as they are."""
-        return points
+        return jnp.asarray(points)
 
     def read(self, cloud: Float[Array, "*batch points 5"]) -> Reading:
         """The reading of region clouds."""
         return Reading.of_cloud(cloud)
 
-    def into(self, cloud: Float[Array, "*batch points 5"], reading: Reading | None) -> Float[Array, "*batch points 5"]:
+    def into(self, cloud: Float[Array, "*batch points 5"], reading: Reading) -> Float[jax.Array, "*batch points 5"]:
         """The cloud as it is."""
-        return cloud
+        return jnp.asarray(cloud)
 
-    def out(self, points: Float[Array, "*batch points 5"], reading: Reading | None) -> Float[Array, "*batch points 5"]:
+    def out(self, points: Float[Array, "*batch points 5"], reading: Reading) -> Float[jax.Array, "*batch points 5"]:
         """The points as they are."""
-        return points
+        return jnp.asarray(points)
 
 
 class CraftFrame(NamedTuple):
@@ -133,7 +133,7 @@ class CraftFrame(NamedTuple):
     centre: Float[Array, "*batch 3"]
     scale: float
 
-    def faced(self, points: Float[Array, "*batch points coordinates"]) -> Float[Array, "*batch points coordinates"]:
+    def faced(self, points: Float[Array, "*batch points coordinates"]) -> Float[jax.Array, "*batch points coordinates"]:
         """Points (..., M, 3 or 5) turned by B^T: x away from the array's axis x = y = 0."""
         return _about_vertical(points, self.centre, -1.0)
 
@@ -141,14 +141,14 @@ class CraftFrame(NamedTuple):
         """The reading of region clouds (..., M, 5) as they are faced, which is the one that the frame takes."""
         return Reading.of_cloud(self.faced(cloud))
 
-    def into(self, cloud: Float[Array, "*batch points 5"], reading: Reading) -> Float[Array, "*batch points 5"]:
+    def into(self, cloud: Float[Array, "*batch points 5"], reading: Reading) -> Float[jax.Array, "*batch points 5"]:
         """Region clouds (..., M, 5) in the frame of a craft of that reading."""
         faced = self.faced(cloud)
         offsets = faced[..., :3] - reading.place[..., None, :]
         points = self.scale * jnp.einsum("...ma,...ab->...mb", offsets, reading.axes())
         return jnp.concatenate([points, faced[..., 3:]], axis=-1)
 
-    def out(self, points: Float[Array, "*batch points 5"], reading: Reading) -> Float[Array, "*batch points 5"]:
+    def out(self, points: Float[Array, "*batch points 5"], reading: Reading) -> Float[jax.Array, "*batch points 5"]:
         """Inverse of :meth:`into`."""
         offsets = jnp.einsum("...mb,...ab->...ma", points[..., :3] / self.scale, reading.axes())
         faced = jnp.concatenate([offsets + reading.place[..., None, :], points[..., 3:]], axis=-1)
@@ -162,7 +162,7 @@ def frame_of(config: Config, centre: Float[Array, "*batch 3"]) -> RegionFrame | 
     return CraftFrame(centre, config.region.scale_m / config.target.half_wheelbase_m)
 
 
-def _level_axes(normal: Array) -> Array:
+def _level_axes(normal: Array) -> jax.Array:
     """R(n) (..., 3, 3) of normals (..., 3) of any length."""
     # A mean over opposite tilts is short; a normal that points down is no flight attitude.
     normal = jnp.concatenate([normal[..., :2], jnp.maximum(normal[..., 2:], 1e-3)], axis=-1)
@@ -175,7 +175,7 @@ def _level_axes(normal: Array) -> Array:
     return jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
 
 
-def _about_vertical(points: Array, centre: Array, sense: float) -> Array:
+def _about_vertical(points: Array, centre: Array, sense: float) -> jax.Array:
     """Points (..., M, D) turned about z by the bearing of a place (..., 3), times ``sense``."""
     distance = jnp.maximum(jnp.linalg.norm(centre[..., :2], axis=-1), 1e-6)
     cosine, sine = centre[..., 0, None] / distance[..., None], sense * centre[..., 1, None] / distance[..., None]
@@ -184,5 +184,5 @@ def _about_vertical(points: Array, centre: Array, sense: float) -> Array:
     return jnp.concatenate([turned, points[..., 2:]], axis=-1)
 
 
-def _complex(harmonics: Array) -> Array:
+def _complex(harmonics: Array) -> jax.Array:
     return jax.lax.complex(harmonics[..., :HARMONICS], harmonics[..., HARMONICS:])

@@ -21,7 +21,10 @@ import math
 import jax
 import jax.numpy as jnp
 from flax import nnx
+from jaxtyping import Float, Int
 
+from august_jax.arrays import Array
+from august_jax.config import TimeEmbedding
 from august_jax.models.diffusion import Schedule
 from august_jax.models.embedding import fourier_features
 from august_jax.models.layers import dense
@@ -30,7 +33,8 @@ _OCTAVES = 6
 _CPU_ROWS = 2048
 
 
-def step_features(step: jax.Array, schedule: Schedule, kind: str) -> jax.Array:
+def step_features(step: Int[Array, "*batch"], schedule: Schedule,
+                  kind: TimeEmbedding) -> Float[jax.Array, "*batch features"]:
     """Features (..., T) of the diffusion step s (...,) in 1..S; ``kind`` as in the module's top."""
     if kind == "paper":
         part = step[..., None] / schedule.steps
@@ -48,7 +52,8 @@ class ConcatSquash(nnx.Module):
         self.gate = dense(context, features_out, rngs=rngs)
         self.shift = dense(context, features_out, gain=0.0 if zero else 1.0, bias=False, rngs=rngs)
 
-    def modulation(self, context: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def modulation(self, context: Float[Array, "batch context"]) -> tuple[Float[jax.Array, "batch out"],
+                                                                          Float[Array, "batch out"]]:
         """What a cloud's context (B, C) does to the layer: the gate and the addend, each (B, out)."""
         gate = 2.0 * jax.nn.sigmoid(self.gate(context))
         return gate, gate * self.linear.bias[...] + self.shift(context)
@@ -57,7 +62,7 @@ class ConcatSquash(nnx.Module):
 class Denoiser(nnx.Module):
     """eps_theta(p, s, condition) for points of ``dimensions`` coordinates and a condition of ``condition`` numbers."""
 
-    def __init__(self, widths: tuple[int, ...], condition: int, schedule: Schedule, time_embedding: str, *,
+    def __init__(self, widths: tuple[int, ...], condition: int, schedule: Schedule, time_embedding: TimeEmbedding, *,
                  rngs: nnx.Rngs, dimensions: int = 5):
         self.schedule = schedule
         self.time_embedding = time_embedding
@@ -68,7 +73,8 @@ class Denoiser(nnx.Module):
             for index, (a, b) in enumerate(zip(sizes, sizes[1:]))
         )
 
-    def __call__(self, points: jax.Array, step: jax.Array, condition: jax.Array) -> jax.Array:
+    def __call__(self, points: Float[Array, "batch points dimensions"], step: Int[Array, " batch"] | Int[Array, ""],
+                 condition: Float[Array, "batch condition"]) -> Float[jax.Array, "batch points dimensions"]:
         """Estimated noise (B, P, D) of points (B, P, D) at the step s (B,) or () under the condition (B, C)."""
         step = jnp.broadcast_to(step, points.shape[:1])
         context = jnp.concatenate([step_features(step, self.schedule, self.time_embedding), condition], axis=-1)

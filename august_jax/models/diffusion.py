@@ -27,10 +27,10 @@ from jaxtyping import Float, Int, Key
 
 from august_jax.arrays import Array
 
-Denoise = Callable[[Array, Array], Array]
+Denoise = Callable[[jax.Array, jax.Array], jax.Array]
 """(points (B, P, D), step s ()) -> estimated noise (B, P, D)."""
 
-Sample = Callable[[Array, Denoise, tuple[int, int, int]], Array]
+Sample = Callable[[Array, Denoise, tuple[int, int, int]], jax.Array]
 """(key, denoise, shape (B, P, D)) -> draws of that shape: a sampler with its schedule."""
 
 
@@ -58,7 +58,7 @@ class Schedule:
         return 0.5 * (np.log(bars) - np.log1p(-bars))
 
 
-def draw_steps(key: Key[Array, ""], count: int, schedule: Schedule) -> Int[Array, " {count}"]:
+def draw_steps(key: Key[Array, ""], count: int, schedule: Schedule) -> Int[jax.Array, " {count}"]:
     """One step s in 1..S a cloud, int32 (count,): each uniform, together spread evenly over the schedule.
 
     A common random shift of a regular grid has the same marginal as independent draws and less variance.
@@ -68,14 +68,14 @@ def draw_steps(key: Key[Array, ""], count: int, schedule: Schedule) -> Int[Array
 
 
 def add_noise(points: Float[Array, "batch points dimensions"], noise: Float[Array, "batch points dimensions"],
-              step: Int[Array, " batch"], schedule: Schedule) -> Float[Array, "batch points dimensions"]:
+              step: Int[Array, " batch"], schedule: Schedule) -> Float[jax.Array, "batch points dimensions"]:
     """p_s (B, P, D) from p_0 (B, P, D), unit noise of that shape and the step s (B,) of each cloud."""
     bars = jnp.asarray(schedule.alpha_bars, points.dtype)[step][:, None, None]
     return jnp.sqrt(bars) * points + jnp.sqrt(1.0 - bars) * noise
 
 
 def ancestral(key: Key[Array, ""], denoise: Denoise, shape: tuple[int, int, int], schedule: Schedule,
-              instants: tuple[int, ...] = ()) -> Float[Array, "*instants batch points dimensions"]:
+              instants: tuple[int, ...] = ()) -> Float[jax.Array, "*instants batch points dimensions"]:
     """Clouds of ``shape`` (B, P, D) by the paper's S-step sampler.
 
     With ``instants``, counts of completed steps in 0..S, the clouds at those instants instead: (I, B, P, D). At S they
@@ -125,7 +125,7 @@ def dpm_steps(schedule: Schedule, evaluations: int) -> Int[np.ndarray, " {evalua
 
 
 def dpm(key: Key[Array, ""], denoise: Denoise, shape: tuple[int, int, int], schedule: Schedule,
-        evaluations: int) -> Float[Array, "batch points dimensions"]:
+        evaluations: int) -> Float[jax.Array, "batch points dimensions"]:
     """Clouds of ``shape`` (B, P, D) by DPM-Solver++(2M) with that many network evaluations; see the module's top."""
     steps = dpm_steps(schedule, evaluations)
     bars = schedule.alpha_bars[steps]

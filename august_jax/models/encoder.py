@@ -24,26 +24,29 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import nnx
-from jaxtyping import Float
+from jaxtyping import Complex, Float
 
 from august_jax.arrays import Array
-from august_jax.config import ArrayConfig, Config
-from august_jax.constants import SPEED_OF_LIGHT
+from august_jax.config import Config
 from august_jax.models.embedding import position_features, snr_features
 from august_jax.models.layers import MLP, ResidualMLP, dense
 from august_jax.signal import roi
 from august_jax.signal.roi import Coefficients, Subspace
 
+Heard = Complex[Array, "batch tones antennas antennas"] | Coefficients
+"""What a base station made of an echo: the estimated channel, or its coefficients about q_pre."""
+
 _GAINS = (1.0, 10.0, 100.0)
 
 
-def level(norm: jax.Array, distance: jax.Array) -> jax.Array:
+def level(norm: Float[Array, "batch tones"], distance: Float[Array, "batch 1"]) -> Float[jax.Array, "batch tones"]:
     """log10(||H|| r^2 / [m^2]), centred and scaled by rough constants: what is left of an echo's strength when two-way
     spreading over the distance r [m] is taken out tells the target's size and material."""
     return 4.0 * (jnp.log10(jnp.maximum(norm, 1e-30) * distance**2) + 1.7)
 
 
-def paper_features(channel: jax.Array, predicted: jax.Array) -> jax.Array:
+def paper_features(channel: Complex[Array, "batch tones antennas antennas"],
+                   predicted: Float[Array, "batch 3"]) -> Float[jax.Array, "batch features"]:
     """Re and Im of vec(H)/||H||_F and :func:`level` at |q_pre|, (B, 2 F N^2 + 1), of channels (B, F, N, N) under
     predictions (B, 3) [m]."""
     flat = channel.reshape(channel.shape[0], -1)
@@ -52,7 +55,8 @@ def paper_features(channel: jax.Array, predicted: jax.Array) -> jax.Array:
     return jnp.concatenate([flat.real / norm, flat.imag / norm, level(norm, distance)], axis=-1)
 
 
-def roi_features(coefficients: jax.Array, predicted: jax.Array, wavenumbers: np.ndarray) -> jax.Array:
+def roi_features(coefficients: Complex[Array, "batch tones orders orders"], predicted: Float[Array, "batch 3"],
+                 wavenumbers: Float[Array, " tones"]) -> Float[jax.Array, "batch features"]:
     """Real features (B, D) of subspace coefficients A (B, F, K, K) under predictions (B, 3) [m].
 
     Each tone's A is divided by its Frobenius norm and turned so that A_00, the response to the mean field over the
@@ -111,7 +115,7 @@ class ChannelInput:
     @property
     def orders(self) -> int:
         """K."""
-        return roi.default_count(self.config.array.nx, self.config.array.nz)
+        return self.subspace.orders
 
     @property
     def size(self) -> int:
@@ -121,17 +125,24 @@ class ChannelInput:
             return 2 * tones * self.antennas**2 + 1
         return tones * (len(_GAINS) * self.orders * (self.orders + 1) + 3) + 3
 
-    def __call__(self, heard: Array | Coefficients, predicted: Float[Array, "batch 3"],
-                 snr_db: Float[Array, " batch"]) -> Seen:
+    @property
+    def subspace(self) -> Subspace:
+        """That of the configuration's array and tones."""
+        return Subspace.from_config(self.config.array)
+
+    def __call__(self, heard: Heard, predicted: Float[Array, "batch 3"], snr_db: Float[Array, " batch"]) -> Seen:
         """What is seen of channels (B, F, N_b, N_b) or, for ``roi``, also of coefficients (B, F, K, K), under
         predictions (B, 3) [m] and SNRs (B,) [dB].
 
         Its centre is q_pre for ``paper``, the echo's bearing at the range of q_pre for ``roi``.
+
+        Raises:
+            ValueError: of another array, or coefficients for ``paper``.
         """
         if self.config.model.encoder == "paper":
-            self._check(heard)
-            return Seen(paper_features(heard, predicted), snr_db, predicted, jnp.zeros_like(predicted))
-        subspace = Subspace.from_config(self.config.array)
+            features = paper_features(self.channel(heard), predicted)
+            return Seen(features, snr_db, predicted, jnp.zeros_like(predicted))
+        subspace = self.subspace
         coefficients = self.coefficients(heard, predicted)
         centre = jax.vmap(lambda each: roi.towards(each, subspace))(coefficients)
         moved = jax.vmap(lambda each, place: roi.recentre(each, place, subspace))(coefficients, centre)
@@ -139,22 +150,31 @@ class ChannelInput:
         features = jnp.concatenate([offset, roi_features(moved.values, centre, subspace.wavenumbers)], axis=-1)
         return Seen(features, snr_db, centre, offset)
 
-    def coefficients(self, heard: Array | Coefficients, centre: Float[Array, "batch 3"]) -> Coefficients:
-        """Coefficients: as they are, or those of a channel (B, F, N_b, N_b) about the centres (B, 3) [m]."""
-        self._check(heard)
-        if isinstance(heard, Coefficients):
-            return heard
-        subspace = Subspace.from_config(self.config.array)
-        return jax.vmap(lambda each, place: roi.project(each, place, subspace))(heard, centre)
+    def channel(self, heard: Heard) -> Complex[Array, "batch tones antennas antennas"]:
+        """Estimated channels as they are.
 
-    def _check(self, heard: Array | Coefficients) -> None:
-        encoder, tones = self.config.model.encoder, len(self.config.array.frequencies_hz)
+        Raises:
+            ValueError: of another array, or coefficients.
+        """
         if isinstance(heard, Coefficients):
-            if encoder == "paper":
-                raise ValueError("heard: got coefficients; the encoder 'paper' takes the estimated channel")
-            name, shape, size = "coefficients", heard.values.shape, self.orders
-        else:
-            name, shape, size = "channel", heard.shape, self.antennas
+            raise ValueError("heard: got coefficients; the encoder 'paper' takes the estimated channel")
+        self._check("channel", heard.shape, self.antennas)
+        return heard
+
+    def coefficients(self, heard: Heard, centre: Float[Array, "batch 3"]) -> Coefficients:
+        """Coefficients as they are, or those of channels (B, F, N_b, N_b) about the centres (B, 3) [m].
+
+        Raises:
+            ValueError: of another array.
+        """
+        if isinstance(heard, Coefficients):
+            self._check("coefficients", heard.values.shape, self.orders)
+            return heard
+        channel, subspace = self.channel(heard), self.subspace
+        return jax.vmap(lambda each, place: roi.project(each, place, subspace))(channel, centre)
+
+    def _check(self, name: str, shape: tuple[int, ...], size: int) -> None:
+        tones = len(self.config.array.frequencies_hz)
         if len(shape) != 4 or shape[1:] != (tones, size, size):
             raise ValueError(f"heard: got {name} of shape {shape}; this array's are (batch, tones, n, n) = "
                              f"(batch, {tones}, {size}, {size})")
@@ -176,7 +196,7 @@ class Encoder(nnx.Module):
         self.trunk = ResidualMLP(2 * width if embedding else width, model.encoder_features, model.encoder_layers,
                                  rngs=rngs)
 
-    def __call__(self, seen: Seen) -> Float[Array, "batch features"]:
+    def __call__(self, seen: Seen) -> Float[jax.Array, "batch features"]:
         """Features f (B, d_f) of what :class:`ChannelInput` saw."""
         hidden = self.channel_map(seen.features)
         if self.embedding:

@@ -8,12 +8,18 @@ a is bounded by a scaled tanh, which keeps the density finite wherever the encod
 from __future__ import annotations
 
 import warnings
+from typing import TYPE_CHECKING
 
 import jax
 import jax.numpy as jnp
 from flax import nnx
+from jaxtyping import Float, Key
 
+from august_jax.arrays import Array
 from august_jax.models.layers import MLP
+
+if TYPE_CHECKING:
+    from distrax import Distribution
 
 _LOG_SCALE_LIMIT = 2.0
 
@@ -24,7 +30,7 @@ class Conditioner(nnx.Module):
     def __init__(self, size: int, features: int, *, rngs: nnx.Rngs):
         self.network = MLP(size, features, features, 2 * size, last_gain=0.0, rngs=rngs)
 
-    def __call__(self, kept: jax.Array) -> jax.Array:
+    def __call__(self, kept: Float[Array, "*batch size"]) -> Float[jax.Array, "*batch size 2"]:
         raw, shift = jnp.split(self.network(kept), 2, axis=-1)
         return jnp.stack([_LOG_SCALE_LIMIT * jnp.tanh(raw / _LOG_SCALE_LIMIT), shift], axis=-1)
 
@@ -36,7 +42,7 @@ class RealNVP(nnx.Module):
         self.size = size
         self.conditioners = nnx.List(Conditioner(size, features, rngs=rngs) for _ in range(layers))
 
-    def distribution(self):
+    def distribution(self) -> Distribution:
         """The distrax distribution of z; its bijector maps nu to z."""
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", category=DeprecationWarning)
@@ -52,10 +58,10 @@ class RealNVP(nnx.Module):
         base = distrax.MultivariateNormalDiag(jnp.zeros(self.size), jnp.ones(self.size))
         return distrax.Transformed(base, distrax.Chain(couplings[::-1]))  # a Chain applies its last member first
 
-    def log_prob(self, latent: jax.Array) -> jax.Array:
+    def log_prob(self, latent: Float[Array, "*batch size"]) -> Float[jax.Array, "*batch"]:
         """log p_psi(z) (...,) of latent codes (..., D)."""
         return self.distribution().log_prob(latent)
 
-    def sample(self, key: jax.Array, count: int) -> jax.Array:
+    def sample(self, key: Key[Array, ""], count: int) -> Float[jax.Array, "{count} size"]:
         """``count`` latent codes (count, D) of the prior."""
         return self.distribution().sample(seed=key, sample_shape=(count,))

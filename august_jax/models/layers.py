@@ -8,6 +8,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import nnx
+from jaxtyping import Float
+
+from august_jax.arrays import Array
 
 
 def dense(features_in: int, features_out: int, *, rngs: nnx.Rngs, gain: float = 1.0, bias: bool = True) -> nnx.Linear:
@@ -35,10 +38,11 @@ class MLP(nnx.Module):
         gains[0] = min(gains[0], 1.0)  # the inputs did not pass an activation
         self.layers = nnx.List(dense(a, b, gain=g, rngs=rngs) for a, b, g in zip(sizes, sizes[1:], gains))
 
-    def __call__(self, x: jax.Array) -> jax.Array:
+    def __call__(self, x: Float[Array, "*batch features"]) -> Float[jax.Array, "*batch out"]:
+        hidden = jnp.asarray(x)
         for index, layer in enumerate(self.layers):
-            x = layer(jax.nn.leaky_relu(x) if index else x)
-        return x
+            hidden = layer(jax.nn.leaky_relu(hidden) if index else hidden)
+        return hidden
 
 
 class ResidualMLP(nnx.Module):
@@ -51,8 +55,8 @@ class ResidualMLP(nnx.Module):
         self.stem = dense(features_in, features, rngs=rngs)
         self.blocks = nnx.List(dense(features, features, gain=2.0, rngs=rngs) for _ in range(layers))
 
-    def __call__(self, x: jax.Array) -> jax.Array:
-        x = self.stem(x)
+    def __call__(self, x: Float[Array, "*batch inputs"]) -> Float[jax.Array, "*batch features"]:
+        hidden = self.stem(x)
         for block in self.blocks:
-            x = x + jax.nn.leaky_relu(block(x)) / len(self.blocks) ** 0.5
-        return x
+            hidden = hidden + jax.nn.leaky_relu(block(hidden)) / len(self.blocks) ** 0.5
+        return hidden

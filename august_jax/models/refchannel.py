@@ -17,12 +17,11 @@ from jaxtyping import Float
 from august_jax.arrays import Array
 from august_jax.config import Config
 from august_jax.models.embedding import position_features
-from august_jax.models.encoder import ChannelInput, Seen
+from august_jax.models.encoder import ChannelInput, Heard, Seen
 from august_jax.models.layers import ResidualMLP, dense
-from august_jax.signal.roi import Coefficients
 
 
-def reference_centre(config: Config) -> np.ndarray:
+def reference_centre(config: Config) -> Float[np.ndarray, "3"]:
     """q_ref (3,) [m]: the centre of the flight box."""
     return np.mean(np.asarray(config.flight.box_m), axis=1)
 
@@ -41,27 +40,33 @@ class RefChannel(nnx.Module):
         self.head = dense(model.encoder_features, self.size, rngs=rngs)
         self.channel_map = dense(self.size, model.channel_features, rngs=rngs)
 
-    def vector(self, heard: Array | Coefficients, centre: Float[Array, "batch 3"]) -> Float[Array, "batch features"]:
-        """Re and Im of the triangles (B, size) of channels, or of their coefficients, of norm one, about ``centre``
-        (B, 3) [m]."""
+    def see(self, heard: Heard, predicted: Float[Array, "batch 3"], snr_db: Float[Array, " batch"]) -> Seen:
+        """What is seen under predictions (B, 3) [m]: :meth:`vector`, and q_pre itself as the centre."""
+        return Seen(self.vector(heard, predicted), snr_db, predicted, jnp.zeros_like(predicted))
+
+    def vector(self, heard: Heard, centre: Float[Array, "batch 3"]) -> Float[jax.Array, "batch features"]:
+        """Re and Im of the triangles (B, size) of channels (B, F, N, N), or of their coefficients about ``centre``
+        (B, 3) [m], of norm one.
+
+        Raises:
+            ValueError: of another array, or coefficients for the encoder ``paper``.
+        """
         if self.config.model.encoder == "roi":
-            heard = self.channel_input.coefficients(heard, centre).values
-        rows, columns = np.triu_indices(heard.shape[-1])
-        flat = heard[..., rows, columns].reshape(heard.shape[0], -1)
+            matrices = self.channel_input.coefficients(heard, centre).values
+        else:
+            matrices = self.channel_input.channel(heard)
+        rows, columns = np.triu_indices(matrices.shape[-1])
+        flat = matrices[..., rows, columns].reshape(matrices.shape[0], -1)
         flat = flat / jnp.maximum(jnp.linalg.norm(flat, axis=-1, keepdims=True), 1e-30)
         return jnp.concatenate([flat.real, flat.imag], axis=-1)
 
-    def see(self, heard: Array | Coefficients, predicted: Float[Array, "batch 3"], snr_db: Float[Array, " batch"]) -> Seen:
-        """What is seen of channels under predictions (B, 3) [m]: :meth:`vector` about q_pre itself."""
-        return Seen(self.vector(heard, predicted), snr_db, predicted, jnp.zeros_like(predicted))
-
-    def __call__(self, seen: Seen) -> Float[Array, "batch features"]:
+    def __call__(self, seen: Seen) -> Float[jax.Array, "batch features"]:
         """The estimated reference channel (B, size), as :meth:`vector` writes it, from what :meth:`see` saw."""
         model = self.config.model
         place = position_features(seen.centre, model.fourier, self.config.flight, raw_metres=model.raw_metres)
         return self.head(self.trunk(jnp.concatenate([seen.features, place], axis=-1)))
 
-    def loss(self, estimate: Float[Array, "batch features"], reference: Array | Coefficients) -> Float[Array, ""]:
-        """Mean squared error () of ``estimate`` (B, size) against reference channels (B, F, N, N), relative to them."""
+    def loss(self, estimate: Float[Array, "batch features"], reference: Heard) -> Float[jax.Array, ""]:
+        """Mean squared error () of ``estimate`` (B, size) against reference channels, relative to them."""
         centre = jnp.broadcast_to(jnp.asarray(reference_centre(self.config), jnp.float32), estimate.shape[:1] + (3,))
         return jnp.mean(jnp.sum((estimate - self.vector(reference, centre)) ** 2, axis=-1))

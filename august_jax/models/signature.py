@@ -18,6 +18,7 @@ from flax import nnx
 from jaxtyping import Float, Key
 
 from august_jax.arrays import Array
+from august_jax.config import TimeEmbedding
 from august_jax.models.craft import HARMONICS
 from august_jax.models.denoiser import Denoiser
 from august_jax.models.diffusion import Sample, Schedule, add_noise, draw_steps
@@ -31,12 +32,12 @@ _JITTER = 0.01
 class Signature(nnx.Module):
     """The density p(c | z) of harmonics (B, 16) under a condition of ``condition`` numbers."""
 
-    def __init__(self, condition: int, schedule: Schedule, time_embedding: str, *, rngs: nnx.Rngs):
+    def __init__(self, condition: int, schedule: Schedule, time_embedding: TimeEmbedding, *, rngs: nnx.Rngs):
         self.schedule = schedule
         self.denoiser = Denoiser(_WIDTHS, condition, schedule, time_embedding, rngs=rngs, dimensions=_NUMBERS)
 
     def loss(self, key: Key[Array, ""], harmonics: Float[Array, "batch 16"],
-             condition: Float[Array, "batch features"]) -> Float[Array, ""]:
+             condition: Float[Array, "batch features"]) -> Float[jax.Array, ""]:
         """Mean squared error of the estimated noise over the 16 numbers and the clouds, ()."""
         step_key, noise_key = jax.random.split(key)
         clean = _SCALE * harmonics[:, None]
@@ -45,12 +46,12 @@ class Signature(nnx.Module):
         return jnp.mean((noise - found) ** 2)
 
     def draw(self, key: Key[Array, ""], condition: Float[Array, "batch features"],
-             sample: Sample) -> Float[Array, "batch 16"]:
+             sample: Sample) -> Float[jax.Array, "batch 16"]:
         """Harmonics (B, 16) for conditions (B, C)."""
         shape = (len(condition), 1, _NUMBERS)
         return sample(key, lambda points, step: self.denoiser(points, step, condition), shape)[:, 0] / _SCALE
 
 
-def shaken(key: Key[Array, ""], harmonics: Float[Array, "*batch 16"]) -> Float[Array, "*batch 16"]:
+def shaken(key: Key[Array, ""], harmonics: Float[Array, "*batch 16"]) -> Float[jax.Array, "*batch 16"]:
     """For training: harmonics a little off, as those that are drawn will be."""
-    return harmonics + _JITTER * jax.random.normal(key, harmonics.shape)
+    return jnp.asarray(harmonics) + _JITTER * jax.random.normal(key, harmonics.shape)

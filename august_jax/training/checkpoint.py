@@ -8,8 +8,7 @@ removes; finished checkpoints are never touched by a save in progress.
 from __future__ import annotations
 
 import logging
-import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -20,9 +19,10 @@ import numpy as np
 from flax import nnx
 from jaxtyping import Float
 
+from august_jax.arrays import Array
 from august_jax.config import Config
 from august_jax.files import read_npz, replacing
-from august_jax.models import create
+from august_jax.models import State, create
 from august_jax.training.step import ParameterLayout, TrainState
 
 _KEEP = 2
@@ -31,7 +31,7 @@ _KEEP = 2
 class Checkpoints:
     """The checkpoints in one folder, one a saved step; the last two are kept. A context manager."""
 
-    def __init__(self, folder: str | os.PathLike):
+    def __init__(self, folder: str | Path):
         from orbax.checkpoint import v1 as ocp  # here, because it takes seconds to import
 
         policies = ocp.training
@@ -46,7 +46,7 @@ class Checkpoints:
     def __enter__(self) -> Checkpoints:
         return self
 
-    def __exit__(self, *_) -> None:
+    def __exit__(self, *_: object) -> None:
         self._checkpointer.close()
 
     @property
@@ -68,7 +68,7 @@ class Checkpoints:
         if self.latest is None:
             raise ValueError(f"folder: no checkpoint in {self._checkpointer.directory}; train from the start")
         plain = _plain(like)
-        wanted = flatten(plain)
+        wanted: dict[str, Any] = flatten(plain)
         with self._readable():
             metadata = self._checkpointer.metadata(self.latest).metadata
             stored = metadata["state"] if "state" in metadata else metadata
@@ -95,7 +95,7 @@ class Checkpoints:
                              "and the run continues from the one before, or from the start") from error
 
 
-def save_weights(path: str | os.PathLike, state: nnx.State, *, half: bool = False) -> None:
+def save_weights(path: str | Path, state: State, *, half: bool = False) -> None:
     """Write the networks' parameters as .npz, one array a dotted name; the file appears whole or not at all.
 
     Args:
@@ -113,10 +113,10 @@ def save_weights(path: str | os.PathLike, state: nnx.State, *, half: bool = Fals
         if not np.isfinite(leaf).all():
             raise ValueError(f"state: {name} holds values that are not finite{' in float16' * half}; nothing written")
     with replacing(path) as aside:
-        np.savez(aside, **arrays)
+        np.savez(aside, **arrays)  # type: ignore[arg-type]
 
 
-def load_weights(path: str | os.PathLike, config: Config) -> tuple[nnx.GraphDef, nnx.State]:
+def load_weights(path: str | Path, config: Config) -> tuple[nnx.GraphDef, State]:
     """Networks of ``config`` with the parameters that :func:`save_weights` wrote: (graphdef, state), float32.
 
     Raises:
@@ -132,7 +132,7 @@ def load_weights(path: str | os.PathLike, config: Config) -> tuple[nnx.GraphDef,
     return graphdef, jax.tree.unflatten(jax.tree.structure(state), leaves)
 
 
-def read_weights(path: str | os.PathLike) -> dict[str, Float[np.ndarray, "..."]]:
+def read_weights(path: str | Path) -> dict[str, Float[np.ndarray, "..."]]:
     """The arrays that :func:`save_weights` wrote, by dotted name, as float32.
 
     Raises:
@@ -150,7 +150,7 @@ def read_weights(path: str | os.PathLike) -> dict[str, Float[np.ndarray, "..."]]
     return arrays
 
 
-def warm_start(layout: ParameterLayout, state: TrainState, path: str | os.PathLike) -> tuple[TrainState, list[str]]:
+def warm_start(layout: ParameterLayout, state: TrainState, path: str | Path) -> tuple[TrainState, list[str]]:
     """``state`` with the parameters of another run's weights, wherever name and shape agree.
 
     Returns:
@@ -170,7 +170,7 @@ def warm_start(layout: ParameterLayout, state: TrainState, path: str | os.PathLi
     return state._replace(params=params, ema=jnp.copy(params)), kept
 
 
-def flatten(tree: Any) -> dict[str, jax.Array]:
+def flatten(tree: Any) -> dict[str, Array]:
     """The leaves of a pytree by dotted name, in the pytree's own order."""
     return {
         ".".join(str(getattr(part, "key", getattr(part, "name", getattr(part, "idx", part)))) for part in path
@@ -179,7 +179,7 @@ def flatten(tree: Any) -> dict[str, jax.Array]:
     }
 
 
-def compare(found: dict[str, tuple[int, ...]], wanted: dict[str, jax.Array], source: Any) -> None:
+def compare(found: Mapping[str, tuple[int, ...]], wanted: Mapping[str, Array], source: Any) -> None:
     """Check stored shapes against the arrays that are wanted.
 
     Raises:

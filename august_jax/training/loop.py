@@ -9,10 +9,9 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import os
 import time
 from collections.abc import Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -23,23 +22,25 @@ from flax import nnx
 
 from august_jax import config as configuration
 from august_jax.config import Config
+from august_jax.data.fields import Batch
 from august_jax.files import rename, write_text
+from august_jax.models import State
 from august_jax.progress import Progress, silent
 from august_jax.training.checkpoint import Checkpoints, save_weights, warm_start
 from august_jax.training.step import TrainState, compiled_step, initial_state
 
-NextBatch = Callable[[int], Mapping[str, Any]]
+NextBatch = Callable[[int], Batch]
 """Step (0 at first) -> batch; the same step gives the same batch."""
 
-Validate = Callable[[nnx.GraphDef, nnx.State, int], Mapping[str, float]]
+Validate = Callable[[nnx.GraphDef, State, int], Mapping[str, float | int]]
 """(graphdef, averaged parameters, steps done) -> numbers to log."""
 
 Draw = Callable[[Path, Path], None]
 """(metrics.jsonl, picture to write); ``plotting.training_curves`` is one."""
 
 
-def train(config: Config, next_batch: NextBatch, out_dir: str | os.PathLike, *, validate: Validate | None = None,
-          draw: Draw | None = None, weights: str | os.PathLike | None = None,
+def train(config: Config, next_batch: NextBatch, out_dir: str | Path, *, validate: Validate | None = None,
+          draw: Draw | None = None, weights: str | Path | None = None,
           progress: Progress = silent) -> TrainState:
     """Train to ``config.train.steps`` and return the last state.
 
@@ -88,7 +89,7 @@ def train(config: Config, next_batch: NextBatch, out_dir: str | os.PathLike, *, 
             _set_aside(out, progress)
         write_text(out / "config.yaml", configuration.to_yaml(config))
         _forget_after(metrics, start)
-        waiting = pool.submit(next_batch, start) if start < settings.steps else None
+        waiting = pool.submit(next_batch, start) if start < settings.steps else Future()
         gathered, mark, began = [], time.perf_counter(), None
         for done in range(start + 1, settings.steps + 1):
             batch = waiting.result()
@@ -135,7 +136,7 @@ def _average(gathered: list[Mapping[str, np.ndarray]], done: int) -> dict[str, f
     return {name: float(np.mean([numbers[name] for numbers in gathered])) for name in gathered[0]}
 
 
-def _told(line: Mapping[str, float], steps: int) -> str:
+def _told(line: Mapping[str, float | int], steps: int) -> str:
     known = ("step", "samples_per_s", "seconds_left")
     numbers = "  ".join(f"{name} {value:.4g}" for name, value in line.items() if name not in known)
     minutes, seconds = divmod(round(line["seconds_left"]), 60)

@@ -11,7 +11,7 @@ of kernels instead of several for each of a hundred arrays, and the step compile
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -26,7 +26,7 @@ from august_jax import streams
 from august_jax.arrays import Array
 from august_jax.config import Config, TrainConfig
 from august_jax.data.fields import Batch
-from august_jax.models import August, create
+from august_jax.models import August, State, create
 
 Loss = Callable[[Array, Array, Any], tuple[Array, dict[str, Array]]]
 """(parameters (n,), key, batch) -> the loss () and its terms by name; hashable, so that it may be static under jit."""
@@ -66,10 +66,10 @@ class ParameterLayout:
     structure: jax.tree_util.PyTreeDef
     shapes: tuple[tuple[int, ...], ...]
 
-    def arrays(self, params: Float[Array, " parameters"]) -> nnx.State:
+    def arrays(self, params: Float[Array, " parameters"]) -> State:
         """The networks' arrays, as ``models.create`` orders them; NumPy stays NumPy, so that nothing compiles."""
-        split = np.split if isinstance(params, np.ndarray) else jnp.split
-        pieces = split(params, np.cumsum([math.prod(shape) for shape in self.shapes])[:-1])
+        ends = np.cumsum([math.prod(shape) for shape in self.shapes])[:-1]
+        pieces: Any = np.split(params, ends) if isinstance(params, np.ndarray) else jnp.split(params, ends)
         return jax.tree.unflatten(self.structure, [a.reshape(shape) for a, shape in zip(pieces, self.shapes)])
 
     def networks(self, params: Float[Array, " parameters"]) -> August:
@@ -77,7 +77,7 @@ class ParameterLayout:
         return nnx.merge(self.graphdef, self.arrays(params))
 
     def loss(self, params: Float[Array, " parameters"], key: Key[Array, ""],
-             batch: Batch) -> tuple[Float[Array, ""], dict[str, Float[Array, ""]]]:
+             batch: Batch) -> tuple[Float[jax.Array, ""], dict[str, Float[jax.Array, ""]]]:
         """:meth:`August.loss` of a batch, a :data:`Loss`."""
         return self.networks(params).loss(key, batch.heard, batch.predicted, batch.snr_db, batch.cloud,
                                           batch.reference_channel)

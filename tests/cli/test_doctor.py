@@ -59,7 +59,7 @@ def test_settings_of_jax_are_told(monkeypatch):
     monkeypatch.setenv("JAX_PLATFORMS", "cpu")
     assert doctor._settings() == (True, "JAX_PLATFORMS=cpu")
     monkeypatch.setenv("JAX_ENABLE_X64", "1")
-    assert doctor._settings()[1].startswith("JAX_PLATFORMS=cpu, JAX_ENABLE_X64=1; samples")
+    assert doctor._settings()[1].startswith("JAX_PLATFORMS=cpu, JAX_ENABLE_X64=1; stored samples come out the same")
 
 
 def test_the_room_that_data_need_is_said(tmp_path, monkeypatch):
