@@ -307,14 +307,14 @@ def _clean(vertices: np.ndarray, faces: np.ndarray, name: str) -> tuple[np.ndarr
     given = len(faces)
     extent = np.ptp(vertices[faces].reshape(-1, 3), axis=0).max()
     if extent == 0.0:
-        raise ValueError("all faces have zero area")
+        raise ValueError("all faces have zero area; wanted a surface: export the mesh again")
     used, faces = np.unique(faces, return_inverse=True)
     grid = np.round(vertices[used] / (1e-6 * extent)).astype(np.int64)
     _, first, merged = np.unique(grid, axis=0, return_index=True, return_inverse=True)
     vertices, faces = vertices[used][first], merged.reshape(-1)[faces].reshape(-1, 3)
     faces = faces[_areas(vertices[faces]) > 1e-12 * extent**2]
     if not len(faces):
-        raise ValueError("all faces have zero area")
+        raise ValueError("all faces have zero area; wanted a surface: export the mesh again")
     if given - len(faces) > _MANY_FLAT * given:
         warnings.warn(
             f"{name}: {given - len(faces)} of {given} faces have no area and were left out; if the craft has holes, "

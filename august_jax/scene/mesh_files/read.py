@@ -59,7 +59,8 @@ def read_mesh(
     except (LookupError, ValueError, TypeError, AttributeError, ArithmeticError, RecursionError, MemoryError) as error:
         # a document whose parts are not of the kinds that its format wants
         reason = f"{error} is missing" if isinstance(error, KeyError) else (str(error) or "no reason").splitlines()[0]
-        raise ValueError(f"{path}: not a readable {kind} file ({type(error).__name__}: {reason[:120]})") from None
+        raise ValueError(f"{path}: not a readable {kind} file ({type(error).__name__}: {reason[:120]}); "
+                         "export it again") from None
     if not len(surface.faces):
         raise ValueError(f"{path}: holds no faces; wanted a surface, not points or lines")
     source = chosen_frame(str(path), declared, unit, up, forward)
