@@ -139,9 +139,13 @@ def test_mesh_files_are_looked_for_where_they_are_read():
 def test_choices_are_those_of_the_code():
     from august_jax.physics.channel import SOLVERS
     from august_jax.scene import AIRFRAMES
+    from august_jax.signal import ESTIMATORS
+    from august_jax.signal.beams import PILOTS
 
     assert set(get_args(configuration.Family)) == set(AIRFRAMES)
     assert set(get_args(configuration.Solver)) == set(SOLVERS)
+    assert set(get_args(configuration.EstimatorName)) == set(ESTIMATORS)
+    assert set(get_args(configuration.Pilots)) == set(PILOTS)
 
 
 def test_every_field_is_described():
@@ -155,7 +159,7 @@ def test_every_field_is_described():
         suffix = path.rsplit("_", 1)[-1]
         if suffix in ("hz", "m", "s", "deg", "db", "dbm"):
             assert field.unit, path
-    assert fields["signal.estimator"].type == " | ".join(get_args(schema.Estimator))
+    assert fields["signal.estimator"].type == " | ".join(get_args(schema.EstimatorName))
     assert fields["array.frequency_hz"][2:5] == (3e9, (1e6, 1e12), "Hz")
 
 

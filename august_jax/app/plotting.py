@@ -18,19 +18,20 @@ from august_jax.schemes import SCHEMES
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from mpl_toolkits.mplot3d import Axes3D
 
     from august_jax.tracking import Track
 
 SOFT, LINE = "#5c6b78", "#dfe5ea"
 MODEL, TRUTH, BASE = "#0a6ebd", "#3a4652", "#c8641b"
-STYLES = {
+STYLES: dict[str, dict[str, Any]] = {
     "august": {"color": MODEL, "marker": "o", "lw": 2.0, "ms": 5},
     "prediction": {"color": BASE, "ls": "--"},
     "up": {"color": "#a63d7b", "ls": "--"},
     "mean_shape": {"color": "#8a6d1d", "ls": "--"},
     "resampling": {"color": "#7a8894", "ls": ":"},
 }
-"""Line styles of the schemes of :mod:`august_jax.evaluation`; others get the next colour of the cycle."""
+"""Line styles of the schemes (:data:`august_jax.schemes.SCHEMES`); others get the next colour of the cycle."""
 
 
 def training_curves(metrics_jsonl: str | Path, png: str | Path) -> None:
@@ -178,7 +179,7 @@ def _tidy(axes: Axes) -> None:
     axes.set_axisbelow(True)
 
 
-def _plain_box(axes: Axes, reach: float) -> None:
+def _plain_box(axes: Axes3D, reach: float) -> None:
     step = next((each for each in (0.1, 0.2, 0.3, 0.5) if 1.7 * each > reach), 1.0)
     for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
         axis.set_pane_color((0.965, 0.973, 0.976, 1.0))

@@ -21,13 +21,13 @@ Style = Literal["smooth", "dynamic", "jump"]
 """Of flights."""
 Pilots = Literal["unitary", "gaussian"]
 """Unitary: a scrambled DFT."""
-Estimator = Literal["ls", "ridge", "lmmse_roi", "dft"]
+EstimatorName = Literal["ls", "ridge", "lmmse_roi", "dft"]
 """Of the channel."""
 Draw = Literal["snr", "power"]
 """What of the echo's level is drawn: the SNR, to which the power is set, or the transmit power."""
 Solver = Literal["mom", "krylov", "local_field_born", "born"]
 """Of the scattered field."""
-Scheme = Literal["august", "noebd", "nolatent", "refchannel"]
+NetworkScheme = Literal["august", "noebd", "nolatent", "refchannel"]
 """Networks: the whole, without embeddings, without the latent code, with reference channels."""
 Encoder = Literal["paper", "roi"]
 """Of the channel: a linear map of vec(H), or the field subspace of the region of interest."""
@@ -158,7 +158,7 @@ class SignalConfig(Section):
     """L; 0 means one symbol an antenna."""
     pilots: Pilots = "unitary"
     """``unitary`` (scrambled DFT) or ``gaussian``."""
-    estimator: Estimator = "lmmse_roi"
+    estimator: EstimatorName = "lmmse_roi"
     """Of the channel."""
     noise_dbm: Annotated[float, within(-250.0, 100.0, "dBm")] = -120.0
     """Power of the noise at an antenna [dBm]."""
@@ -193,7 +193,7 @@ class DataConfig(Section):
 class ModelConfig(Section):
     """AUGUST's networks (paper, Section IV and Section VI-A)."""
 
-    scheme: Scheme = "august"
+    scheme: NetworkScheme = "august"
     """Which of the compared networks."""
     encoder: Encoder = "paper"
     """``paper``: linear map of vec(H); ``roi``: the RoI's field subspace."""
