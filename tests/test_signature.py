@@ -1,5 +1,7 @@
 """Signatures: clouds that settle on one of several craft."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -41,8 +43,9 @@ def test_a_draw_is_one_craft_and_not_the_mean_of_two():
 
     keys = jax.random.split(jax.random.key(0), 400)
     (state, _), _ = jax.jit(lambda carry: jax.lax.scan(step, carry, keys))((state, optimiser.init(state)))
-    draws = np.asarray(nnx.merge(graphdef, state).draw(
-        jax.random.key(1), condition, lambda key, denoise, shape: dpm(key, denoise, shape, schedule, 10)))
+    sample = partial(dpm, schedule=schedule, evaluations=10)
+    draw = jax.jit(lambda state: nnx.merge(graphdef, state).draw(jax.random.key(1), condition, sample))
+    draws = np.asarray(draw(state))
     share = draws @ one / (one @ one)
     assert np.mean(np.abs(np.abs(share) - 1.0) < 0.25) > 0.9
     assert 0.3 < np.mean(share > 0) < 0.7

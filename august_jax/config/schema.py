@@ -245,7 +245,7 @@ class TrainConfig(Section):
     weight_latent: _Weight = 1e-4
     """Of the latent code's divergence from its prior in the loss."""
     weight_readout: _Weight = 0.0
-    """Weight of a linear reading of the cloud's moments from the latent; not in the paper, 0 leaves it out."""
+    """Weight of a linear readout of the cloud's reading from the latent; not in the paper, 0 leaves it out."""
     ema: Annotated[float, within(0.0, 0.9999999)] = 0.999
     """Decay of the parameters' moving average, which is what is evaluated."""
     seed: _Seed = 0
