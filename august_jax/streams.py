@@ -18,6 +18,8 @@ from typing import ParamSpec, TypeVar
 
 import jax
 
+from august_jax.arrays import Array
+
 NAMES = (
     "data.flight",  # by flight: track, and its further draws where one leaves the box
     "data.material",  # by flight
@@ -51,7 +53,7 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 
-def key(seed: int, name: str, *numbers: int | jax.Array) -> jax.Array:
+def key(seed: int, name: str, *numbers: int | Array) -> jax.Array:
     """The key () of a stream, or of its member that the ``numbers`` name.
 
     Args:
@@ -72,7 +74,7 @@ def key(seed: int, name: str, *numbers: int | jax.Array) -> jax.Array:
     return found
 
 
-def members(parent: jax.Array, numbers: jax.Array) -> jax.Array:
+def members(parent: jax.Array, numbers: Array) -> jax.Array:
     """Keys (n,) of a stream's members by their numbers (n,)."""
     return jax.vmap(jax.random.fold_in, (None, 0))(parent, numbers)
 

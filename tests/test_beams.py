@@ -89,6 +89,6 @@ def test_power_units():
         (lambda: beams.roi_codebook(0, 4, CENTRE, WIDTHS), "0 x 4"),
     ],
 )
-def test_bad_input_is_named(call, words):
+def test_bad_input_is_named(unchecked, call, words):
     with pytest.raises(ValueError, match=words):
         call()

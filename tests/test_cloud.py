@@ -11,7 +11,8 @@ REGION = RegionConfig(scale_m=0.8, permittivity_max=5.0, conductivity_max_s_m=0.
 
 
 def test_one_point_by_hand():
-    cloud = to_cloud([[0.1, 0.2, 0.3]], [10.0, 20.0, 15.0], [10.4, 19.8, 15.0], 2.5, 0.002, REGION)
+    points, position, predicted = map(np.array, ([[0.1, 0.2, 0.3]], [10.0, 20.0, 15.0], [10.4, 19.8, 15.0]))
+    cloud = to_cloud(points, position, predicted, 2.5, 0.002, REGION)
     np.testing.assert_allclose(cloud, [[-0.375, 0.5, 0.375, 0.5, 0.2]], atol=1e-5)
 
 

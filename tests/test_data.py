@@ -206,7 +206,7 @@ def test_the_manifest_is_json_that_says_what_is_there(folder):
     (np.array([True, False]), "bool"), (np.array([0.5]), "float64"), (np.array([48]), "out of range"),
     (np.array([-49]), "out of range"), (np.array([[1]]), "shape"),
 ])
-def test_places_that_are_no_rows_are_refused(folder, places, words):
+def test_places_that_are_no_rows_are_refused(unchecked, folder, places, words):
     with pytest.raises(ValueError, match=f"places: .*{words}"):
         data.Dataset(folder).read(places)
 
@@ -220,7 +220,7 @@ def test_an_edited_shard_counts_as_missing(folder, tmp_path, meta):
         data.Dataset(tmp_path / "copy")
 
 
-def test_triangles_alone_unpack():
+def test_triangles_alone_unpack(unchecked, ):
     whole = np.arange(9.0).reshape(3, 3) + np.arange(9.0).reshape(3, 3).T
     np.testing.assert_array_equal(data.unpack(data.pack(whole)), whole)
     with pytest.raises(ValueError, match="7 numbers"):

@@ -286,7 +286,7 @@ def test_estimate_improves_with_power_up_to_float32():
         ({"snr_db": None}, "exactly one"),
     ],
 )
-def test_bad_observation_is_named(change, words):
+def test_bad_observation_is_named(unchecked, change, words):
     arguments = {"channel": jnp.zeros((1, 64, 64), jnp.complex64), "predicted": jnp.ones(3), "array": ARRAY,
                  "signal": SignalConfig(), "region": REGION, "snr_db": 10.0} | change
     with pytest.raises(ValueError, match=words):
@@ -297,7 +297,7 @@ def test_bad_observation_is_named(change, words):
     ("arguments", "words"),
     [(("mmse",), "mmse"), *(((name,), each.needs[0]) for name, each in ESTIMATORS.items() if each.needs)],
 )
-def test_bad_estimate_is_named(arguments, words):
+def test_bad_estimate_is_named(unchecked, arguments, words):
     with pytest.raises(ValueError, match=words):
         estimate_channel(*arguments, jnp.zeros((4, 4), jnp.complex64), jnp.zeros((4, 4), jnp.complex64))
     with pytest.raises(ValueError, match=r"\(4, 5\)"):

@@ -15,7 +15,7 @@ ALLOWED = {
     "constants": set(),
     "arrays": set(),
     "progress": set(),
-    "streams": set(),
+    "streams": {"arrays"},
     "files": set(),
     "config": BASE,
     "physics": BASE,

@@ -77,7 +77,7 @@ def test_directional_error():
         (lambda: metrics.mde(np.ones((2, 3)), np.ones((1, 3))), "estimated_normal"),
     ],
 )
-def test_bad_input_is_named(call, words):
+def test_bad_input_is_named(unchecked, call, words):
     with pytest.raises(ValueError, match=words):
         call()
 

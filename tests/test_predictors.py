@@ -66,7 +66,7 @@ def test_every_predictor_keeps_its_state_s_shape(name):
 
 
 @pytest.mark.parametrize("name", list(PREDICTORS))
-def test_bad_histories_are_named(name):
+def test_bad_histories_are_named(unchecked, name):
     for history, words in ((jnp.zeros((0, 3)), r"\(0, 3\)"), (jnp.zeros(3), r"\(3,\)")):
         with pytest.raises(ValueError, match=f"positions: .*{words}"):
             predict_next(by_name(name), history)

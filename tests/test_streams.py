@@ -59,6 +59,6 @@ def test_pinned_numbers_do_not_depend_on_settings(setting):
 
 @pytest.mark.parametrize("arguments, words", [((0, "data.nothing"), "no stream"), ((-1, "data.flight"), "seed"),
                                               ((2**32, "data.flight"), "seed")])
-def test_bad_streams_are_named(arguments, words):
+def test_bad_streams_are_named(unchecked, arguments, words):
     with pytest.raises(ValueError, match=words):
         streams.key(*arguments)

@@ -121,6 +121,6 @@ def test_a_flight_depends_on_its_key_alone(flights):
     ({"style": "aerobatic"}, "flight.style: .*'aerobatic'.*smooth"),
     ({"tilt_deg": 90.0}, "flight.tilt_deg: 90 "),
 ])
-def test_impossible_flights_are_refused(change, message):
+def test_impossible_flights_are_refused(unchecked, change, message):
     with pytest.raises(ValueError, match=message):
         fly(jax.random.key(0), FlightConfig(**change))

@@ -19,12 +19,17 @@ from __future__ import annotations
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Float
+
+from august_jax.arrays import Array, ArrayLike
+
+Scalar = Float[jax.Array, ""]
 
 BATCH = 16
 """Samples whose distances are found side by side."""
 
 
-def nearest_squared(source: jax.Array, target: jax.Array) -> jax.Array:
+def nearest_squared(source: Float[Array, "n 3"], target: Float[Array, "m 3"]) -> Float[jax.Array, " n"]:
     """Squared distance (N,) [m^2] of each point of ``source`` (N, 3) to the nearest of ``target`` (M, 3) [m].
 
     Written coordinate by coordinate: the N x M distances then melt into the minimum and are never stored.
@@ -33,7 +38,7 @@ def nearest_squared(source: jax.Array, target: jax.Array) -> jax.Array:
     return jnp.min(distances, axis=1)
 
 
-def chamfer(estimated: jax.Array, true: jax.Array) -> jax.Array:
+def chamfer(estimated: Float[Array, "n 3"], true: Float[Array, "m 3"]) -> Scalar:
     """Two one-sided means of the squared distance to the nearest point, added [m^2].
 
     Args:
@@ -43,14 +48,15 @@ def chamfer(estimated: jax.Array, true: jax.Array) -> jax.Array:
     return jnp.mean(nearest_squared(estimated, true)) + jnp.mean(nearest_squared(true, estimated))
 
 
-def shape_distance(estimated: jax.Array, true: jax.Array) -> jax.Array:
+def shape_distance(estimated: Float[Array, "n 3"], true: Float[Array, "m 3"]) -> Scalar:
     """Chamfer distance of two clouds (N, 3), (M, 3) [m], each shifted to its own mean [m^2]."""
     return chamfer(estimated - jnp.mean(estimated, axis=0), true - jnp.mean(true, axis=0))
 
 
 def weighted_distance(
-    estimated: jax.Array, true: jax.Array, estimated_position: jax.Array, position: jax.Array
-) -> jax.Array:
+    estimated: Float[Array, "n 3"], true: Float[Array, "m 3"], estimated_position: Float[Array, "3"],
+    position: Float[Array, "3"],
+) -> Scalar:
     """:func:`shape_distance` of two clouds plus the squared distance of two positions (3,) [m], in m^2."""
     return shape_distance(estimated, true) + jnp.sum((estimated_position - position) ** 2)
 
@@ -60,7 +66,10 @@ def _shape_distances(estimated, true):
     return jax.lax.map(lambda pair: shape_distance(*pair), (estimated, true), batch_size=BATCH)
 
 
-def wd_db(estimated, true, estimated_position, position, *, size_m=1.0) -> jax.Array:
+def wd_db(
+    estimated: Float[Array, "batch n 3"], true: Float[Array, "batch m 3"], estimated_position: Float[Array, "batch 3"],
+    position: Float[Array, "batch 3"], *, size_m: ArrayLike = 1.0,
+) -> Scalar:
     """Weighted distance of a batch [dB].
 
     Args:
@@ -78,19 +87,23 @@ def wd_db(estimated, true, estimated_position, position, *, size_m=1.0) -> jax.A
     return 10.0 * jnp.log10(jnp.mean((_shape_distances(estimated, true) + squared) / jnp.square(size_m)))
 
 
-def mcd_db(estimated, true, *, size_m=1.0) -> jax.Array:
+def mcd_db(
+    estimated: Float[Array, "batch n 3"], true: Float[Array, "batch m 3"], *, size_m: ArrayLike = 1.0
+) -> Scalar:
     """Mean Chamfer distance of a batch of centred clouds [dB]; arguments and errors as in :func:`wd_db`."""
     _check_clouds(estimated, true)
     return 10.0 * jnp.log10(jnp.mean(_shape_distances(estimated, true) / jnp.square(size_m)))
 
 
-def mpe_m(estimated_position, position) -> jax.Array:
+def mpe_m(estimated_position: Float[Array, "batch 3"], position: Float[Array, "batch 3"]) -> Scalar:
     """Mean positioning error of positions (B, 3) [m]."""
     _check_vectors("estimated_position", estimated_position, "position", position)
     return jnp.mean(jnp.linalg.norm(jnp.asarray(estimated_position) - position, axis=-1))
 
 
-def along_and_across_m(estimated_position, position) -> tuple[jax.Array, jax.Array]:
+def along_and_across_m(
+    estimated_position: Float[Array, "batch 3"], position: Float[Array, "batch 3"]
+) -> tuple[Scalar, Scalar]:
     """Root-mean-square errors of positions (B, 3) [m] along the line of sight from the origin and across it [m]."""
     _check_vectors("estimated_position", estimated_position, "position", position)
     error = jnp.asarray(estimated_position) - position
@@ -99,7 +112,7 @@ def along_and_across_m(estimated_position, position) -> tuple[jax.Array, jax.Arr
     return jnp.sqrt(jnp.mean(along**2)), jnp.sqrt(jnp.mean(across))
 
 
-def mde(estimated_normal, normal) -> jax.Array:
+def mde(estimated_normal: Float[Array, "batch 3"], normal: Float[Array, "batch 3"]) -> Scalar:
     """Mean directional error, mean(1 - n.n^), of unit normals (B, 3)."""
     _check_vectors("estimated_normal", estimated_normal, "normal", normal)
     return jnp.mean(1.0 - jnp.sum(jnp.asarray(estimated_normal) * normal, axis=-1))

@@ -27,7 +27,9 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 from jax.scipy.special import ndtr
+from jaxtyping import Bool, Float
 
+from august_jax.arrays import Array, ArrayLike
 from august_jax.config import FlightConfig
 from august_jax.constants import GRAVITY
 from august_jax.scene.pose import rotation_from_axis_yaw
@@ -43,10 +45,10 @@ class Flight(NamedTuple):
         rotations: body to world (T, 3, 3).
     """
 
-    positions: jax.Array
-    velocities: jax.Array
-    accelerations: jax.Array
-    rotations: jax.Array
+    positions: Float[Array, "*flights slots 3"]
+    velocities: Float[Array, "*flights slots 3"]
+    accelerations: Float[Array, "*flights slots 3"]
+    rotations: Float[Array, "*flights slots 3 3"]
 
 
 class _Style(NamedTuple):
@@ -105,7 +107,7 @@ def fly_many(keys: jax.Array, flight: FlightConfig) -> Flight:
     return flights
 
 
-def draw_track(key: jax.Array, flight: FlightConfig) -> tuple[Flight, jax.Array]:
+def draw_track(key: jax.Array, flight: FlightConfig) -> tuple[Flight, Bool[jax.Array, ""]]:
     """The first of up to 16 tracks that stays in the box, and whether it does (); pure, ``flight`` static."""
     walls = jnp.asarray(flight.box_m)
 
@@ -237,7 +239,7 @@ def _yaw(first: jax.Array, later: jax.Array, flight: FlightConfig) -> jax.Array:
     return jax.lax.scan(slot, (jnp.pi * (2.0 * ndtr(first[0]) - 1.0), _YAW_RATE * first[1]), later)[1]
 
 
-def _shorten(vector: jax.Array, longest: float) -> jax.Array:
+def _shorten(vector: jax.Array, longest: ArrayLike) -> jax.Array:
     return vector * jnp.minimum(1.0, longest / jnp.maximum(jnp.linalg.norm(vector), 1e-9))
 
 

@@ -12,24 +12,32 @@ the scale of the pilots X = W S.
 
 from __future__ import annotations
 
+from typing import get_args
+
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Complex, Float, Inexact
 
-PILOTS = ("unitary", "gaussian")
+from august_jax.arrays import Array, ArrayLike
+from august_jax.config import Pilots
+
+PILOTS: tuple[Pilots, ...] = get_args(Pilots)
+Angles = tuple[ArrayLike, ArrayLike]
+"""Azimuth and elevation [rad]."""
 
 
-def dbm_to_watt(power_dbm):
+def dbm_to_watt(power_dbm: ArrayLike) -> jax.Array:
     """Power [W] from [dBm]."""
     return 10.0 ** (jnp.asarray(power_dbm) / 10.0 - 3.0)
 
 
-def watt_to_dbm(power_w):
+def watt_to_dbm(power_w: ArrayLike) -> jax.Array:
     """Power [dBm] from [W]."""
     return 10.0 * jnp.log10(power_w) + 30.0
 
 
-def direction_angles(point: jax.Array) -> tuple[jax.Array, jax.Array]:
+def direction_angles(point: Float[Array, "3"]) -> tuple[Float[jax.Array, ""], Float[jax.Array, ""]]:
     """Azimuth and elevation [rad] of a point (3,) [m] seen from the origin.
 
     x = r cos(el) cos(az), y = r cos(el) sin(az), z = r sin(el).
@@ -38,14 +46,14 @@ def direction_angles(point: jax.Array) -> tuple[jax.Array, jax.Array]:
     return jnp.arctan2(y, x), jnp.arctan2(z, jnp.hypot(x, y))
 
 
-def sector_grid(centre: jax.Array, width: float, count: int) -> jax.Array:
+def sector_grid(centre: ArrayLike, width: float, count: int) -> Float[Array, " {count}"]:
     """``count`` equally spaced angles (count,) [rad] about ``centre``, both ends included; the centre if one."""
     return centre + width * (np.linspace(-0.5, 0.5, count) if count > 1 else np.zeros(1))
 
 
 def codebook_factors(
-    nx: int, nz: int, centre: tuple[jax.Array, jax.Array], widths: tuple[float, float], *, mirror: bool = False
-) -> tuple[jax.Array, jax.Array]:
+    nx: int, nz: int, centre: Angles, widths: tuple[float, float], *, mirror: bool = False
+) -> tuple[Complex[jax.Array, "{nx} {nx} {nz}"], Complex[jax.Array, "{nz} {nz}"]]:
     """The beams of :func:`roi_codebook` by axis of the array: [w_ij]_(a, b) = x[a, i, j] z[b, j].
 
     Returns:
@@ -63,8 +71,8 @@ def codebook_factors(
 
 
 def roi_codebook(
-    nx: int, nz: int, centre: tuple[jax.Array, jax.Array], widths: tuple[float, float], *, mirror: bool = False
-) -> jax.Array:
+    nx: int, nz: int, centre: Angles, widths: tuple[float, float], *, mirror: bool = False
+) -> Complex[jax.Array, "antennas antennas"]:
     """Beams over an angular sector (paper, eq. beamforming matrix element).
 
     Args:
@@ -83,7 +91,9 @@ def roi_codebook(
     return (along_x[:, None] * along_z[None, :, None, :]).reshape(nx * nz, nx * nz)
 
 
-def pilot_symbols(key: jax.Array, count: int, symbols: int, kind: str = "unitary") -> jax.Array:
+def pilot_symbols(
+    key: jax.Array, count: int, symbols: int, kind: Pilots = "unitary"
+) -> Complex[jax.Array, "{count} {symbols}"]:
     """Pseudo-random symbols with zero mean and E[s s^H] = I.
 
     Args:
@@ -109,7 +119,9 @@ def pilot_symbols(key: jax.Array, count: int, symbols: int, kind: str = "unitary
     return jax.lax.complex(jnp.cos(phase), jnp.sin(phase))
 
 
-def pilots(codebook: jax.Array, symbols: jax.Array, power_w) -> jax.Array:
+def pilots(
+    codebook: Inexact[Array, "antennas antennas"], symbols: Inexact[Array, "antennas symbols"], power_w: ArrayLike
+) -> Inexact[jax.Array, "antennas symbols"]:
     """Transmitted matrix X = W S sqrt(P_s L) / ||W S||_F.
 
     Args:

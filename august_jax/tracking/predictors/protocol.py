@@ -5,7 +5,7 @@ States are pytrees of fixed shapes and predictors are hashable, so that a flight
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -30,6 +30,7 @@ class Prediction(NamedTuple):
     covariance: Float[Array, "3 3"]
 
 
+@runtime_checkable
 class Predictor(Protocol):
     """Three functions of positions [m], pure and mappable."""
 
