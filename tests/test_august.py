@@ -9,7 +9,7 @@ from flax import nnx
 from jax.flatten_util import ravel_pytree
 
 from august_jax.config import preset
-from august_jax.models import create, parameter_count, reconstruct
+from august_jax.models import Seen, create, parameter_count, reconstruct
 from august_jax.models.refchannel import RefChannel, reference_centre
 
 SMOKE = preset("smoke")
@@ -38,6 +38,7 @@ def batch(size=20):
 
 
 HEARD = tuple(batch().values())[:3]
+SEEN = Seen(np.zeros((BATCH, 7), "f"), HEARD[2], HEARD[1], np.zeros((BATCH, 3), "f"))
 
 
 def networks(settings):
@@ -80,7 +81,7 @@ def test_a_readout_of_weight_0_is_not_there():
     _, terms = jax.jit(lambda: model.loss(key, **batch()))()
     assert set(terms) == {"latent", "position", "material"}
     with pytest.raises(ValueError, match="train.weight_readout: 0 leaves the readout out"):
-        model.readout(np.zeros((BATCH, 6), "f"), model.see(*HEARD))
+        model.readout(np.zeros((BATCH, 6), "f"), SEEN)
 
 
 def test_an_untrained_denoiser_scores_the_noise_itself():
@@ -153,9 +154,9 @@ def test_reconstruction_is_a_function_of_its_key():
     ({"sampler": "ancestral", "instants": (11,)}, r"instants: \(11,\) .*0..10"),
 ])
 def test_a_sampler_that_does_not_fit_is_refused(options, message, unchecked):
-    model = nnx.merge(*networks(config()))
+    graphdef, state = create(config(), 0)
     with pytest.raises(ValueError, match=message):
-        model.reconstruct(jax.random.key(0), *HEARD, 9, **options)
+        reconstruct(graphdef, state, jax.random.key(0), *HEARD, count=9, **options)
 
 
 @pytest.mark.parametrize("frame", ["craft", "region"])
@@ -199,7 +200,7 @@ def test_a_wrong_batch_is_named(scheme, change, message):
 def test_a_scheme_without_a_latent_has_no_posterior():
     model = nnx.merge(*create(config("nolatent"), 0))
     with pytest.raises(ValueError, match="'nolatent' has no posterior; choose august or noebd"):
-        model.posterior(model.see(*HEARD))
+        model.posterior(SEEN)
 
 
 def test_the_paper_s_networks_have_the_paper_s_sizes():

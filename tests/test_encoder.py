@@ -31,6 +31,14 @@ def channels(offset, config=CONFIG):
     return np.stack([np.stack([point_channel(q + offset, f) for f in config.array.frequencies_hz]) for q in PREDICTED])
 
 
+def see(heard, config=CONFIG):
+    return jax.jit(ChannelInput(config))(heard, PREDICTED, SNR_DB)
+
+
+def coefficients_of(channel):
+    return jax.jit(ChannelInput(CONFIG).coefficients)(channel, PREDICTED)
+
+
 def test_fourier_features_by_hand():
     x, y = 0.3, -0.8
     result = np.asarray(fourier_features(np.array([x, y], np.float32), 2))
@@ -64,39 +72,36 @@ def test_paper_features_are_the_normalised_channel_and_its_level():
 
 def test_a_target_at_the_prediction_is_nearly_its_leading_coefficient():
     """The spherical phases of q_pre leave the constant over the aperture, but for the spreading of 1/r."""
-    coefficients = np.asarray(ChannelInput(CONFIG).coefficients(channels(np.zeros(3)), PREDICTED).values)
+    coefficients = np.asarray(coefficients_of(channels(np.zeros(3))).values)
     share = np.abs(coefficients[:, 0, 0, 0]) / np.linalg.norm(coefficients, axis=(2, 3))[:, 0]
     assert (share > 0.999).all()
-    away = np.asarray(ChannelInput(CONFIG).coefficients(channels(np.array([0.4, 0, 0])), PREDICTED).values)
+    away = np.asarray(coefficients_of(channels(np.array([0.4, 0, 0]))).values)
     assert (np.abs(away[:, 0, 0, 0]) / np.linalg.norm(away, axis=(2, 3))[:, 0] < 0.99).all()
 
 
 def test_coefficients_and_channels_give_the_same_features():
-    see = ChannelInput(CONFIG)
     channel = channels(np.array([0.2, -0.3, 0.1]))
-    coefficients = see.coefficients(channel, PREDICTED)
-    assert coefficients.values.shape[-1] == see.orders < see.antennas
-    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=1e-6), see(channel, PREDICTED, SNR_DB),
-                 see(coefficients, PREDICTED, SNR_DB))
+    coefficients = coefficients_of(channel)
+    assert coefficients.values.shape[-1] == ChannelInput(CONFIG).orders < ChannelInput(CONFIG).antennas
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=1e-6), see(channel), see(coefficients))
 
 
 def test_the_centre_is_the_bearing_of_the_echo_at_the_range_of_the_prediction():
     offset = np.array([0.2, -0.3, 0.1])
-    seen = ChannelInput(CONFIG)(channels(offset), PREDICTED, SNR_DB)
+    seen = see(channels(offset))
     np.testing.assert_allclose(np.linalg.norm(seen.centre, axis=-1), np.linalg.norm(PREDICTED, axis=-1), rtol=1e-5)
     bearings = (seen.centre, PREDICTED + offset)
     np.testing.assert_allclose(*(each / np.linalg.norm(each, axis=-1, keepdims=True) for each in bearings), atol=2e-3)
     np.testing.assert_allclose(seen.offset, (seen.centre - PREDICTED) / CONFIG.region.scale_m, atol=1e-6)
     np.testing.assert_array_equal(seen.features[:, :3], seen.offset)
-    paper = ChannelInput(replace(CONFIG, model=replace(CONFIG.model, encoder="paper")))
-    seen = paper(channels(offset), PREDICTED, SNR_DB)
+    seen = see(channels(offset), replace(CONFIG, model=replace(CONFIG.model, encoder="paper")))
     np.testing.assert_array_equal(seen.centre, PREDICTED)
     np.testing.assert_array_equal(seen.offset, 0.0)
 
 
 def test_an_unknown_gain_moves_only_phase_and_level():
     channel = channels(np.array([0.2, -0.3, 0.1]))
-    plain, turned = (np.asarray(ChannelInput(CONFIG)(each, PREDICTED, SNR_DB).features)
+    plain, turned = (np.asarray(see(each).features)
                      for each in (channel, (10 * np.exp(0.7j) * channel).astype(np.complex64)))
     np.testing.assert_allclose(turned[:, :-3], plain[:, :-3], atol=2e-3)  # asinh(100 x) of a float32 x
     before, after = plain[:, -3] + 1j * plain[:, -2], turned[:, -3] + 1j * turned[:, -2]
@@ -108,7 +113,7 @@ def test_tones_tell_the_range_beyond_the_prediction():
     """Between two tones a point target turns by 2 (k' - k)(|q| - |q_pre|)."""
     config = replace(CONFIG, array=replace(CONFIG.array, tones_hz=(2.97e9, 3.03e9)))
     offset = np.array([0.2, 0.3, 0.1])
-    features = np.asarray(ChannelInput(config)(channels(offset, config), PREDICTED, SNR_DB).features)
+    features = np.asarray(see(channels(offset, config), config).features)
     phase = features[:, -5] + 1j * features[:, -3]  # cosines of two tones, sines of two tones, two levels
     beyond = np.linalg.norm(PREDICTED + offset, axis=-1) - np.linalg.norm(PREDICTED, axis=-1)
     expected = np.exp(2j * 2 * np.pi * 60e6 / 299_792_458.0 * beyond)

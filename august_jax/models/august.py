@@ -196,7 +196,7 @@ class August(nnx.Module):
             "position": train.weight_position, "material": train.weight_material, "latent": train.weight_latent,
             "reference": 1.0, "readout": train.weight_readout, "signature": train.weight_position,
         }
-        return sum((weights[name] * term for name, term in terms.items()), jnp.zeros(())), terms
+        return sum((weights[name] * term for name, term in terms.items()), jnp.zeros((), jnp.float32)), terms
 
     def reconstruct(self, key: Key[Array, ""], heard: Heard, predicted: Float[Array, "batch 3"],
                     snr_db: Float[Array, " batch"], count: int, *, sampler: Sampler = "dpm", steps: int = 10,
