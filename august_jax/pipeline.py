@@ -15,7 +15,7 @@ import numpy as np
 
 from august_jax import config as configuration
 from august_jax import streams
-from august_jax.arrays import Array
+from august_jax.arrays import Array, ArrayLike
 from august_jax.config import Config
 from august_jax.data import channels_along
 from august_jax.models import Networks
@@ -110,7 +110,7 @@ def sense(networks: Networks, config: Config, scenario: Scenario, *, seed: int, 
 
 @partial(jax.jit, static_argnames=("config", "predictor"))
 def _followed(networks: Networks, key: jax.Array, channels: jax.Array, detected: jax.Array, config: Config,
-              predictor: Predictor, snr_db: float) -> Followed:
+              predictor: Predictor, snr_db: ArrayLike) -> Followed:
     """The loop over slots, in which the networks find the craft; compiled once."""
     def locate(key: jax.Array, heard: Array | Coefficients, predicted: jax.Array, snr: jax.Array) -> Found:
         cloud_key, normal_key = jax.random.split(key)

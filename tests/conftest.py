@@ -14,8 +14,7 @@ from importlib.util import find_spec
 import pytest
 
 CHECKED = (
-    "august_jax.app.devices",
-    "august_jax.app.sums",
+    "august_jax.app",
     "august_jax.data",
     "august_jax.evaluation",
     "august_jax.files",

@@ -109,7 +109,7 @@ PRESETS: dict[str, Preset] = {
         summary="for tests: every part of the path, none of it good",
         config=_smoke(_laptop()),
         command=_command("smoke", "august_runs/smoke --seed 1"),
-        time="two minutes on two CPU cores, most of them compiling",
+        time="about a minute on two CPU cores, most of it compiling",
         expected="none: twenty steps learn nothing",
     ),
     "laptop": Preset(

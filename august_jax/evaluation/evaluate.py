@@ -22,7 +22,7 @@ from august_jax.data import Dataset, Sample, batch_of, generate, observed_anew, 
 from august_jax.evaluation import metrics
 from august_jax.evaluation.bound import Bound
 from august_jax.evaluation.score import Row, score
-from august_jax.models import Networks, reconstruct
+from august_jax.models import Networks, State, reconstruct
 from august_jax.progress import Progress, silent
 from august_jax.scene.airframes import Airframe
 from august_jax.scene.cloud import position_estimate
@@ -108,7 +108,7 @@ def _resampled(key: jax.Array, samples: Sample, airframes: Sequence[Airframe], c
 
 def validator(
     dataset: Dataset, config: Config, count: int = 256
-) -> Callable[[nnx.GraphDef, nnx.State, int], dict[str, float]] | None:
+) -> Callable[[nnx.GraphDef, State, int], dict[str, float]] | None:
     """A function (graphdef, state, step) -> position error on validation samples, beside that of q_pre.
 
     Args:
@@ -127,7 +127,7 @@ def validator(
     batch = batch_of(seen_key, samples, config)
     position = jnp.asarray(samples.position)
 
-    def validate(graphdef: nnx.GraphDef, state: nnx.State, step: int) -> dict[str, float]:
+    def validate(graphdef: nnx.GraphDef, state: State, step: int) -> dict[str, float]:
         cloud = reconstruct(graphdef, state, cloud_key, batch.heard, batch.predicted, batch.snr_db,
                             count=min(128, config.target.points), sampler=config.evaluate.sampler,
                             steps=config.evaluate.sampler_steps)
