@@ -15,10 +15,11 @@ import subprocess
 import sys
 import tempfile
 import time
-from pathlib import Path
 
 import numpy as np
-from simulator import machine
+from common import Figures, machine, parsed, write
+
+AUGUST = (sys.executable, "-m", "august_jax.app.cli")
 
 
 def command_seconds(*command: str) -> float:
@@ -30,33 +31,27 @@ def command_seconds(*command: str) -> float:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", type=Path, help="also write the figures here")
     parser.add_argument("--preset", default="laptop")
     parser.add_argument("--count", type=int, default=20_000, help="samples to simulate; 0 leaves that out")
     parser.add_argument("--repeats", type=int, default=5)
-    args = parser.parse_args()
-    if args.json and not args.json.absolute().parent.is_dir():
-        parser.error(f"--json: {args.json.parent} is no folder")
-    figures: dict = {"machine": machine()}
-    print(figures["machine"])
+    args = parsed(parser)
+    figures: Figures = {"machine": machine()}
     timed: dict[str, list[float]] = {"import jax": [], "import august_jax": [], "august --help": []}
     for _ in range(args.repeats):
         timed["import jax"].append(command_seconds(sys.executable, "-c", "import jax"))
         timed["import august_jax"].append(command_seconds(sys.executable, "-c", "import jax, august_jax"))
-        timed["august --help"].append(command_seconds(sys.executable, "-m", "august_jax.app.cli", "--help"))
+        timed["august --help"].append(command_seconds(*AUGUST, "--help"))
     for name, values in timed.items():
         figures[name] = float(np.median(values))
         print(f"{name:18s} {figures[name]:8.2f} s")
     print(f"import august_jax / import jax: {figures['import august_jax'] / figures['import jax']:.2f}")
     if args.count:
         with tempfile.TemporaryDirectory() as folder:
-            output = subprocess.run(
-                [sys.executable, "-m", "august_jax.app.cli", "simulate", "--preset", args.preset, "--out", folder, "--json",
-                 f"data.count={args.count}"], check=True, capture_output=True, text=True).stdout
+            arguments = ["simulate", "--preset", args.preset, "--out", folder, "--json", f"data.count={args.count}"]
+            output = subprocess.run([*AUGUST, *arguments], check=True, capture_output=True, text=True).stdout
         figures["simulate"] = json.loads(output)
         print(f"simulate {args.preset}: {figures['simulate']['samples_per_s']:.1f} samples/s, all counted")
-    if args.json:
-        args.json.write_text(json.dumps(figures, indent=1))
+    write(args, figures)
 
 
 if __name__ == "__main__":

@@ -2,6 +2,8 @@
 
     python benchmarks/simulator.py --json simulator.json
     python benchmarks/simulator.py --parts rigid moving                      only some of the parts below
+    python benchmarks/simulator.py --cells 200 --sweep 100 200 --batch 8 --preset smoke --count 64 --repeats 1
+                                                                             a minute, to see that all parts run
     taskset -c 0 python benchmarks/simulator.py                              one core
 
 Parts:
@@ -16,7 +18,7 @@ Parts:
 ``scaling``
     ``body_channel`` over cells, antennas and batch.
 ``set``
-    channels of the paper's flights, five airframes.
+    channels of the paper's flights, five airframes (or of another preset's).
 
 What is compared is timed in turn and by its median; errors are relative to LU in complex128. torchgdm is no
 dependency: `pip install torchgdm==0.61` adds its columns, without it they stay empty. ``rigid`` and ``moving`` take a
@@ -28,77 +30,52 @@ from __future__ import annotations
 
 import argparse
 import importlib.util
-import json
 import os
-import platform
 import time
 import warnings
 from collections.abc import Callable
-from pathlib import Path
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from common import Figures, machine, medians, parsed, write
 
-from august_jax.config import preset
-from august_jax.data.simulator import lattices_of, nearest_distance
+from august_jax.config import ArrayConfig, Config, TargetConfig, preset
+from august_jax.data.simulator import contrast_of, lattice_of, lattices_of, nearest_distance, true_channel
 from august_jax.physics import (
-    Cells, PlanarArray, body_channel, contrast, dipole_fields, factor_bodies, factor_body, interaction_matrix,
+    Cells,
+    PlanarArray,
+    body_channel,
+    dipole_fields,
+    factor_bodies,
+    factor_body,
+    interaction_matrix,
     sensing_channel,
 )
 from august_jax.physics.mom import weighted_fields
-from august_jax.scene import procedural_airframe, random_rotation
+from august_jax.scene import random_rotation, resolve_airframe
 from august_jax.scene.trajectory import fly_many
 
-FREQUENCY = 3e9
-ARRAY = PlanarArray(16, 4, FREQUENCY)
+# Written out, not a preset's: figures of one release are compared with those of the next.
+CONFIG = Config(
+    array=ArrayConfig(nx=16, nz=4, frequency_hz=3e9),
+    target=TargetConfig(airframes=("quad_x",), half_wheelbase_m=0.25, cell_m=0.004, skin_m=0.002),
+)
+PERMITTIVITY, CONDUCTIVITY = 3.0, 5e-3
+FREQUENCY = CONFIG.array.frequency_hz
+ARRAY = PlanarArray.from_config(CONFIG.array)
 TOWARD = np.array([0.6, 0.64, 0.48])
-CHI = complex(contrast(3.0, 5e-3, FREQUENCY))
-SKIN_M = 0.002
+CHI = complex(contrast_of(CONFIG, PERMITTIVITY, CONDUCTIVITY)[0])
 PEER = importlib.util.find_spec("torchgdm") is not None
-
-
-def machine() -> dict[str, str | int | float]:
-    """What the figures were measured on, with its rate of single-precision matrix products [Gflop/s]."""
-    square = jnp.ones((3000, 3000), jnp.float32)
-    product = jax.jit(lambda a: a @ a)
-    product(square).block_until_ready()
-    best = min(seconds(lambda: product(square)) for _ in range(5))
-    return {
-        "processor": processor(), "cores": len(os.sched_getaffinity(0)), "device": jax.devices()[0].device_kind,
-        "jax": jax.__version__, "python": platform.python_version(), "gflop_s": 2.0 * 3000**3 / best / 1e9,
-    }
-
-
-def processor() -> str:
-    """The processor's own name, where the system tells it."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-        return next(line.split(":")[1].strip() for line in lines if line.startswith("model name"))
-    except (OSError, StopIteration):
-        return platform.processor() or platform.machine()
-
-
-def seconds(call: Callable) -> float:
-    """Wall time of one call that returns arrays, JAX's or not."""
-    start = time.perf_counter()
-    jax.block_until_ready(call())
-    return time.perf_counter() - start
-
-
-def medians(calls: dict[str, Callable], repeats: int) -> dict[str, float]:
-    """Median wall time [s] of each call, timed in turn after one call of each that is not counted."""
-    for call in calls.values():
-        seconds(call)
-    times = [{name: seconds(call) for name, call in calls.items()} for _ in range(repeats)]
-    return {name: float(np.median([each[name] for each in times])) for name in calls}
 
 
 def lattice(cells: int) -> Cells:
     """quad_x in at most so many cells."""
-    drone = procedural_airframe("quad_x")
+    target = replace(CONFIG.target, max_cells=cells)
+    made, _ = lattice_of(resolve_airframe(target.airframes[0], target.half_wheelbase_m), target)
     # One place a cell, so that a gradient in positions is that of the whole channel.
-    return drone.cells(drone.cell_size_for(cells, 0.004, SKIN_M), SKIN_M)._replace(centroids=None)
+    return made._replace(centroids=None)
 
 
 def poses(count: int, distance_m: float):
@@ -136,10 +113,12 @@ def peer(positions_m: np.ndarray, edge_m: float):
     def channel(positions):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            body = tg.struct.StructDiscretized3D(positions, tg.materials.MatConstant(1.0 + CHI), step=1e9 * edge_m,
-                                                 on_distance_violation="ignore")
-            simulation = tg.simulation.Simulation([body], tg.env.EnvHomogeneous3D(env_material=1.0), [],
-                                                  [1e9 * ARRAY.wavelength])
+            body = tg.struct.StructDiscretized3D(
+                positions, tg.materials.MatConstant(1.0 + CHI), step=1e9 * edge_m, on_distance_violation="ignore"
+            )
+            simulation = tg.simulation.Simulation(
+                [body], tg.env.EnvHomogeneous3D(env_material=1.0), [], [1e9 * ARRAY.wavelength]
+            )
             # Probes a little off the sources: the free-space term, which torchgdm adds, is infinite at them.
             return tg.postproc.green.G_Ep(simulation, antennas + 1e7, antennas, 1e9 * ARRAY.wavelength)
 
@@ -170,9 +149,17 @@ def rigid(args) -> list[dict]:
         dense = jax.jit(lambda turn, place: sensing_channel(ARRAY, moving.moved(turn, place), chi))
         moved = moving.moved(rotations[0], places[0])
         matrix = np.asarray(jax.jit(interaction_matrix)(moved, ARRAY.wavenumber))
-        fields = np.asarray(weighted_fields(moved, dipole_fields(
-            moved.positions, jnp.asarray(ARRAY.positions, jnp.float32), jnp.asarray(ARRAY.moments, jnp.float32),
-            ARRAY.wavenumber)))
+        fields = np.asarray(
+            weighted_fields(
+                moved,
+                dipole_fields(
+                    moved.positions,
+                    jnp.asarray(ARRAY.positions, jnp.float32),
+                    jnp.asarray(ARRAY.moments, jnp.float32),
+                    ARRAY.wavenumber,
+                ),
+            )
+        )
         system = np.eye(len(matrix), dtype=np.complex64) / np.complex64(CHI) - matrix
         calls = {
             "factored": lambda: fast(rotations, places),
@@ -185,18 +172,30 @@ def rigid(args) -> list[dict]:
         times["factored"] /= args.batch
         exact = in_double(cells, rotations[0], places[0], lambda c: sensing_channel(ARRAY, c, CHI))
         flop = 6.0 * np.prod(body.weights.shape[-2:]) * len(chosen(body))
-        row = {"cells": cells.count, "distance_m": distance, "batch": args.batch, "factoring_or_cache_s": factoring,
-               "modes": list(body.weights.shape[-2:]),
-               **{f"{name}_s": value for name, value in times.items()},
-               **{f"{name}_over_factored": times[name] / times["factored"] for name in times if name != "factored"},
-               "factored_error": off(fast(rotations, places)[0], exact),
-               "dense_error": off(calls["dense"](), exact), "factored_gflop_s": flop / times["factored"] / 1e9}
+        row = {
+            "cells": cells.count,
+            "distance_m": distance,
+            "batch": args.batch,
+            "factoring_or_cache_s": factoring,
+            "modes": list(body.weights.shape[-2:]),
+            **{f"{name}_s": value for name, value in times.items()},
+            **{f"{name}_over_factored": times[name] / times["factored"] for name in times if name != "factored"},
+            "factored_error": off(fast(rotations, places)[0], exact),
+            "dense_error": off(calls["dense"](), exact),
+            "factored_gflop_s": flop / times["factored"] / 1e9,
+        }
         rows.append(row)
-        print(f"rigid   {cells.count} cells, {distance:g} m: factored {1e3 * times['factored']:.2f} ms "
-              f"(error {row['factored_error']:.1e}, {row['factored_gflop_s']:.0f} Gflop/s); "
-              + ", ".join(f"{name} {1e3 * value:.0f} ms = {value / times['factored']:.0f} x"
-                          for name, value in times.items() if name != "factored")
-              + f"; error of dense {row['dense_error']:.1e}", flush=True)
+        print(
+            f"rigid   {cells.count} cells, {distance:g} m: factored {1e3 * times['factored']:.2f} ms "
+            f"(error {row['factored_error']:.1e}, {row['factored_gflop_s']:.0f} Gflop/s); "
+            + ", ".join(
+                f"{name} {1e3 * value:.0f} ms = {value / times['factored']:.0f} x"
+                for name, value in times.items()
+                if name != "factored"
+            )
+            + f"; error of dense {row['dense_error']:.1e}",
+            flush=True,
+        )
     return rows
 
 
@@ -235,7 +234,8 @@ def moving(args) -> list[dict]:
         calls[f"{solver}_gradient"] = lambda both=both: both(body.positions)
     if PEER:
         calls["torchgdm_value"], calls["torchgdm_gradient"] = peer(
-            np.asarray(body.positions), float(np.cbrt(cells.volumes[0])))
+            np.asarray(body.positions), float(np.cbrt(cells.volumes[0]))
+        )
     times = medians(calls, args.repeats)
     # What is given are the positions in single precision: the same ones in double are the reference.
     with jax.enable_x64(True):
@@ -253,13 +253,19 @@ def moving(args) -> list[dict]:
         for kind in ("value", "gradient"):
             if PEER:
                 row[f"torchgdm_over_{solver}_{kind}"] = times[f"torchgdm_{kind}"] / times[f"{solver}_{kind}"]
-        print(f"moving  {cells.count} cells, {solver}: value {times[f'{solver}_value']:.2f} s "
-              f"(error {row[f'{solver}_error']:.1e}), value and gradient {times[f'{solver}_gradient']:.2f} s = "
-              f"{row[f'{solver}_gradient_over_value']:.2f} x (error {row[f'{solver}_gradient_error']:.1e})", flush=True)
+        print(
+            f"moving  {cells.count} cells, {solver}: value {times[f'{solver}_value']:.2f} s "
+            f"(error {row[f'{solver}_error']:.1e}), value and gradient {times[f'{solver}_gradient']:.2f} s = "
+            f"{row[f'{solver}_gradient_over_value']:.2f} x (error {row[f'{solver}_gradient_error']:.1e})",
+            flush=True,
+        )
     if PEER:
-        print(f"        torchgdm: value {times['torchgdm_value']:.2f} s = "
-              f"{row['torchgdm_over_krylov_value']:.1f} x krylov, value and gradient {times['torchgdm_gradient']:.2f} s"
-              f" = {row['torchgdm_over_krylov_gradient']:.1f} x", flush=True)
+        print(
+            f"        torchgdm: value {times['torchgdm_value']:.2f} s = "
+            f"{row['torchgdm_over_krylov_value']:.1f} x krylov, value and gradient {times['torchgdm_gradient']:.2f} s"
+            f" = {row['torchgdm_over_krylov_gradient']:.1f} x",
+            flush=True,
+        )
     return [row]
 
 
@@ -270,8 +276,11 @@ def scaling(args) -> list[dict]:
     for count in args.sweep:
         cells = lattice(count)
         bodies[cells.count], spent = factored(cells, 0.9 * distance)
-        print(f"scaling {cells.count} cells: {spent:.0f} s to factor or to read, error "
-              f"{bodies[cells.count].error:.1e}, {bodies[cells.count].weights.shape[-2]} modes", flush=True)
+        print(
+            f"scaling {cells.count} cells: {spent:.0f} s to factor or to read, error "
+            f"{bodies[cells.count].error:.1e}, {bodies[cells.count].weights.shape[-2]} modes",
+            flush=True,
+        )
     middle = bodies[min(bodies, key=lambda count: abs(count - 1000))]
 
     def call(body, array, batch):
@@ -281,8 +290,10 @@ def scaling(args) -> list[dict]:
 
     sweeps = {
         "cells": {count: (call(body, ARRAY, args.batch), args.batch) for count, body in bodies.items()},
-        "antennas": {nx * nz: (call(middle, PlanarArray(nx, nz, FREQUENCY), args.batch), args.batch)
-                     for nx, nz in ((4, 4), (8, 4), (16, 4), (16, 8), (16, 16))},
+        "antennas": {
+            nx * nz: (call(middle, PlanarArray(nx, nz, FREQUENCY), args.batch), args.batch)
+            for nx, nz in ((4, 4), (8, 4), (16, 4), (16, 8), (16, 16))
+        },
         "batch": {batch: (call(middle, ARRAY, batch), batch) for batch in (1, 4, 16, 64, 256)},
     }
     rows = []
@@ -290,29 +301,34 @@ def scaling(args) -> list[dict]:
         times = medians({size: run for size, (run, _) in calls.items()}, args.repeats)
         each = {size: times[size] / batch for size, (_, batch) in calls.items()}
         rows += [{"sweep": name, "size": size, "factored_s": value} for size, value in each.items()]
-        print(f"scaling over {name}: " + ", ".join(f"{size}: {1e3 * value:.2f} ms" for size, value in each.items()),
-              flush=True)
+        print(
+            f"scaling over {name}: " + ", ".join(f"{size}: {1e3 * value:.2f} ms" for size, value in each.items()),
+            flush=True,
+        )
     return rows
 
 
-def paper_set(args) -> list[dict]:
-    """Channels of the paper's flights through five airframes' bodies: factoring and channels, each timed."""
-    config = preset("paper")
+def flights_set(args) -> list[dict]:
+    """Channels of a preset's flights through its airframes' bodies: factoring and channels, each timed."""
+    config = preset(args.preset)
     nearest = nearest_distance(config)
     start = time.perf_counter()
-    drones = [procedural_airframe(name, config.target.half_wheelbase_m) for name in config.target.airframes]
+    drones = [resolve_airframe(name, config.target.half_wheelbase_m) for name in config.target.airframes]
     lattices = [cells for cells, _ in lattices_of(drones, config.target)]
-    # Not padded to one shape: four more compilations cost less here than larger products.
+    # Not padded to one shape, as `prepare_targets` may: more compilations cost less here than larger products.
     bodies = factor_bodies(lattices, config.array.frequency_hz, nearest_m=nearest)
     factoring = time.perf_counter() - start
-    array = PlanarArray(config.array.nx, config.array.nz, config.array.frequency_hz)
-    chi = jnp.asarray(CHI, jnp.complex64)
-    fast = jax.jit(jax.vmap(lambda body, turn, place: body_channel(body, array, turn, place, chi), (None, 0, 0)))
+    fast = jax.jit(
+        jax.vmap(
+            lambda body, turn, place: true_channel(config, body, turn, place, PERMITTIVITY, CONDUCTIVITY), (None, 0, 0)
+        )
+    )
     start = time.perf_counter()
     flights = -(-args.count // config.flight.slots)
     tracks = fly_many(jax.random.split(jax.random.key(0), flights), config.flight)
-    rotations, places = (part.reshape(-1, *part.shape[2:])[: args.count]
-                         for part in (tracks.rotations, tracks.positions))
+    rotations, places = (
+        part.reshape(-1, *part.shape[2:])[: args.count] for part in (tracks.rotations, tracks.positions)
+    )
     for first in range(0, args.count, args.batch):
         turns, where = (part[first : first + args.batch].astype(jnp.float32) for part in (rotations, places))
         if len(turns) < args.batch:  # one shape, one compilation
@@ -320,31 +336,32 @@ def paper_set(args) -> list[dict]:
         fast(bodies[(first // args.batch) % len(bodies)], turns, where).block_until_ready()
     spent = time.perf_counter() - start
     sizes = [cells.count for cells in lattices]
-    print(f"set     {args.count} channels of {len(bodies)} airframes ({min(sizes)} to {max(sizes)} cells): {spent:.0f} "
-          f"s, flights and compiling counted; factoring or reading the bodies {factoring:.0f} s", flush=True)
+    print(
+        f"set     {args.count} channels of {len(bodies)} airframes ({min(sizes)} to {max(sizes)} cells): {spent:.0f} "
+        f"s, flights and compiling counted; factoring or reading the bodies {factoring:.0f} s",
+        flush=True,
+    )
     return [{"count": args.count, "cells": sizes, "channels_s": spent, "factoring_or_cache_s": factoring}]
 
 
-PARTS = {"rigid": rigid, "moving": moving, "set": paper_set, "scaling": scaling}
+PARTS = {"rigid": rigid, "moving": moving, "set": flights_set, "scaling": scaling}
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", type=Path, help="also write the rows here")
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=list(PARTS))
     parser.add_argument("--cells", type=int, default=1000, help="at most so many, for rigid and moving")
     parser.add_argument("--sweep", type=int, nargs="+", default=[250, 500, 1000, 2000, 4000], help="cells of scaling")
     parser.add_argument("--distance", type=float, nargs="+", default=[5.0, 20.0], help="metres")
     parser.add_argument("--batch", type=int, default=128)
+    parser.add_argument("--preset", default="paper", help="whose flights and airframes set takes (%(default)s)")
     parser.add_argument("--count", type=int, default=50_000, help="channels of set")
     parser.add_argument("--repeats", type=int, default=5)
-    args = parser.parse_args()
-    results = {"machine": machine()}
-    print(results["machine"], flush=True)
+    args = parsed(parser)
+    figures: Figures = {"machine": machine()}
     for part in args.parts:
-        results[part] = PARTS[part](args)
-        if args.json:
-            args.json.write_text(json.dumps(results, indent=1))
+        figures[part] = PARTS[part](args)
+        write(args, figures)
 
 
 if __name__ == "__main__":
