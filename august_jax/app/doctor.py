@@ -14,7 +14,6 @@ from typing import NamedTuple
 
 from august_jax import UNFUSED_SUMS, config, names_a_file
 from august_jax.app.devices import describe_backend_error
-from august_jax.config import Config
 
 PACKAGES = ("jax", "jaxlib", "numpy", "scipy", "flax", "distrax", "optax", "orbax-checkpoint", "trimesh", "PyYAML",
             "matplotlib")
@@ -110,7 +109,7 @@ def _physics() -> tuple[bool, str]:
 
     corner = 0.01 * np.stack(np.meshgrid([-1.0, 1.0], [-1.0, 1.0], [-1.0, 1.0]), axis=-1).reshape(8, 3)
     body = Cells(corner, np.full(8, 1e-6))
-    array, place, chi = PlanarArray(4, 2, 3e9), np.array([1.0, 5.0, 2.0]), 2.0 + 0.05j
+    array, place, chi = PlanarArray(4, 2, 3e9), np.array([1.0, 5.0, 2.0]), jnp.asarray(2.0 + 0.05j)
     direct = sensing_channel(array, body.moved(np.eye(3), place), chi)
     factored = body_channel(factor_body(body, 3e9, cache=False), array, jnp.eye(3), jnp.asarray(place), chi)
     error = float(jnp.linalg.norm(direct - factored) / jnp.linalg.norm(direct))
@@ -129,20 +128,15 @@ def _cache() -> tuple[bool, str]:
 
 
 def _disk(out: Path) -> tuple[bool, str]:
+    from august_jax.data import bytes_of
+
     out = next(path for path in (out, *out.absolute().parents) if path.is_dir())
     free = shutil.disk_usage(out).free
-    data = {name: _data_bytes(config.preset(name)) for name in config.PRESETS}
+    data = {name: bytes_of(config.preset(name)) for name in config.PRESETS}
     needs = ", ".join(f"{name} {max(size / 1024**3, 0.1):.1f}{'' if size < free else ' (more than there is)'}"
                       for name, size in data.items())
     return free > _ROOM_BYTES, (f"{free / 1024**3:.1f} GiB free; wanted {_ROOM_BYTES / 1024**3:.0f}, and for august "
                                 f"simulate by preset [GiB]: {needs}")
-
-
-def _data_bytes(made: Config) -> int:
-    """Size of the data that ``august simulate`` writes."""
-    pairs = made.array.count * (made.array.count + 1) // 2
-    channels = 2 * len(made.array.frequencies_hz) * pairs * 8  # H and H_est, upper triangles, complex64
-    return made.data.count * (channels + made.target.points * 12 + 23 * 4)
 
 
 def _weights() -> tuple[bool, str]:

@@ -67,4 +67,4 @@ def test_the_room_that_data_need_is_said(tmp_path, monkeypatch):
     monkeypatch.setattr(doctor.shutil, "disk_usage", lambda place: SimpleNamespace(free=free))
     passed, detail = doctor._disk(tmp_path / "new" / "folder")
     assert passed and detail.startswith("5.0 GiB free; wanted 2")
-    assert "laptop 8.5 (more than there is)" in detail and "paper 2.1" in detail
+    assert "laptop 5.3 (more than there is)" in detail and "paper 2.1" in detail
