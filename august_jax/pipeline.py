@@ -20,10 +20,10 @@ from august_jax.config import Config
 from august_jax.data import channels_along
 from august_jax.models import Networks
 from august_jax.progress import Progress, silent
-from august_jax.scene import Scenario, WorldCloud, draw_scenario, pose_scenario
-from august_jax.schemes import reconstructed
+from august_jax.scene import Scenario, draw_scenario, pose_scenario
+from august_jax.schemes import SCHEMES, Answer, Setting, Slots
 from august_jax.signal import Coefficients
-from august_jax.tracking import Followed, Found, Kalman, Predictor, Track, follow, rotor_plane_normal
+from august_jax.tracking import Followed, Kalman, Predictor, Track, follow
 
 __all__ = [
     "SHIPPED", "Networks", "Scenario", "Track", "draw_scenario", "load_networks", "pose_scenario", "run_files", "sense",
@@ -112,10 +112,11 @@ def sense(networks: Networks, config: Config, scenario: Scenario, *, seed: int, 
 def _followed(networks: Networks, key: jax.Array, channels: jax.Array, detected: jax.Array, config: Config,
               predictor: Predictor, snr_db: ArrayLike) -> Followed:
     """The loop over slots, in which the networks find the craft; compiled once."""
-    def locate(key: jax.Array, heard: Array | Coefficients, predicted: jax.Array, snr: jax.Array) -> Found:
-        cloud_key, normal_key = jax.random.split(key)
-        one = jax.tree.map(lambda leaf: leaf[None], (heard, predicted, snr))
-        cloud: WorldCloud = jax.tree.map(lambda leaf: leaf[0], reconstructed(networks, config, cloud_key, *one))
-        return Found(jnp.mean(cloud.points, axis=0), cloud, rotor_plane_normal(normal_key, cloud.points))
+    ask = SCHEMES["august"].prepare(Setting(config, networks, None, key))
+    assert ask is not None  # it needs networks alone
+
+    def locate(key: jax.Array, heard: Array | Coefficients, predicted: jax.Array, snr: jax.Array) -> Answer:
+        slot = jax.tree.map(lambda leaf: leaf[None], Slots(predicted, snr, heard, None))
+        return jax.tree.map(lambda leaf: leaf[0], ask(key, slot))
 
     return follow(key, channels, detected, snr_db, config, predictor, locate)

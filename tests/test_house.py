@@ -23,7 +23,7 @@ ALLOWED = {
     "signal": BASE | {"physics"},
     "data": BASE | {"physics", "scene", "signal"},
     "models": BASE | {"signal.roi"},
-    "tracking": BASE | {"signal", "scene.cloud"},
+    "tracking": BASE | {"signal"},
     "training": BASE | {"models", "data"},
     "schemes": BASE | {"models", "tracking", "signal", "scene"},
     "evaluation": BASE | {"schemes", "data", "tracking", "models", "physics", "signal", "scene"},

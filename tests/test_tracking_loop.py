@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from august_jax.config import FlightConfig, override, preset
-from august_jax.scene import WorldCloud
-from august_jax.tracking import PREDICTORS, Found, follow, predict_next
+from august_jax.schemes import Answer
+from august_jax.tracking import PREDICTORS, follow, predict_next
 from august_jax.tracking.loop import DETECTED_SLOTS
 
 CONFIG = override(preset("smoke"), ["signal.estimator=ls"])
@@ -31,7 +31,7 @@ def test_the_loop_predicts_from_what_was_found(name):
         # the true place that lies next to where it is told to look: 0.3 m against 0.23 m a slot, half a metre at most
         place = true[jnp.argmin(jnp.sum((true - predicted) ** 2, axis=-1) + 0 * snr_db)]
         asked.append(heard)
-        return Found(place, WorldCloud(place[None], jnp.ones(1), jnp.ones(1)), jnp.array([0.0, 0.0, 1.0]))
+        return Answer(position=place)
 
     seen = jax.jit(lambda: follow(jax.random.key(0), channels, detected, 20.0, CONFIG, predictor, locate))()
     np.testing.assert_allclose(seen.predicted[:DETECTED_SLOTS], detected[:DETECTED_SLOTS])
@@ -39,4 +39,4 @@ def test_the_loop_predicts_from_what_was_found(name):
         made = predict_next(predictor, seen.found.position[:slot]).position
         np.testing.assert_allclose(seen.predicted[slot], made, atol=1e-4)
     np.testing.assert_allclose(seen.snr_db, 20.0, atol=1.5)  # 64 noise entries: 0.5 dB
-    assert asked and seen.found.cloud.points.shape == (SLOTS, 1, 3)
+    assert asked and seen.found.position.shape == (SLOTS, 3)

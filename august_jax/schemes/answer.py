@@ -44,13 +44,14 @@ class Slots(NamedTuple):
         predicted: q_pre (B, 3) [m].
         snr_db: the SNR as the receiver estimates it (B,) [dB].
         heard: estimated channels or coefficients; None where only schemes without ears are asked.
-        truth: what they are measured against; only ``resampling``, the floor, answers from it.
+        truth: what they are measured against; only ``resampling``, the floor, answers from it. None where nothing is
+            measured.
     """
 
     predicted: Float[Array, "batch 3"]
     snr_db: Float[Array, " batch"] | None
     heard: Array | Coefficients | None
-    truth: Truth
+    truth: Truth | None
 
     @property
     def count(self) -> int:

@@ -65,6 +65,8 @@ def _mean_shape(setting: Setting) -> Ask | None:
 
 def _resampling(setting: Setting) -> Ask:
     def ask(key: jax.Array, slots: Slots) -> Answer:
+        if slots.truth is None:
+            raise ValueError("truth: got None; the scheme 'resampling' answers from the truth")
         points = jnp.asarray(slots.truth.resampled)
         normal, triple = cloud_normals(key, points)
         return Answer(jnp.mean(points, axis=1), normal, triple, _of_points(points))

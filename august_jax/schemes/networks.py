@@ -18,7 +18,7 @@ from august_jax.tracking.attitude import cloud_normals
 
 
 @partial(jax.jit, static_argnames="config")
-def reconstructed(
+def _reconstructed(
     networks: Networks, config: Config, key: jax.Array, heard: Array | Coefficients,
     predicted: Float[Array, "batch 3"], snr_db: Float[Array, " batch"],
 ) -> WorldCloud:
@@ -33,7 +33,7 @@ def _prepare(setting: Setting) -> Ask | None:
 
     def ask(key: jax.Array, slots: Slots) -> Answer:
         cloud_key, normal_key = jax.random.split(key)
-        cloud = reconstructed(networks, setting.config, cloud_key, slots.heard, slots.predicted, slots.snr_db)
+        cloud = _reconstructed(networks, setting.config, cloud_key, slots.heard, slots.predicted, slots.snr_db)
         normal, triple = cloud_normals(normal_key, cloud.points)
         return Answer(jnp.mean(cloud.points, axis=1), normal, triple, cloud)
 

@@ -1,7 +1,7 @@
 """From clouds to tracks: the attitude of a cloud, predictors of the next position, and the loop over slots."""
 
 from august_jax.tracking.attitude import cloud_normals, plane_normal, rotor_plane_normal, rotor_points, triple_normal
-from august_jax.tracking.loop import Followed, Found, follow
+from august_jax.tracking.loop import Followed, Located, follow
 from august_jax.tracking.predictors import (
     PREDICTORS,
     FiniteDifference,
@@ -16,8 +16,8 @@ __all__ = [
     "PREDICTORS",
     "FiniteDifference",
     "Followed",
-    "Found",
     "Kalman",
+    "Located",
     "Prediction",
     "Predictor",
     "Track",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -11,7 +11,6 @@ from jaxtyping import Complex, Float
 
 from august_jax.arrays import Array, ArrayLike
 from august_jax.config import Config
-from august_jax.scene.cloud import WorldCloud
 from august_jax.signal.roi import Coefficients
 from august_jax.signal.station import observe_for
 from august_jax.tracking.predictors import Predictor
@@ -20,21 +19,16 @@ DETECTED_SLOTS = 3
 """Slots whose predicted position comes from detection: a position, a speed and an acceleration take three."""
 
 
-class Found(NamedTuple):
-    """What was found of the target in one slot.
+@runtime_checkable
+class Located(Protocol):
+    """What is found of the target in one slot: a pytree with a position (3,) [m], whatever else it holds."""
 
-    Attributes:
-        position: (3,) [m].
-        cloud: points (M, 3) [m] and their materials (M,).
-        normal: unit normal of the rotor plane (3,).
-    """
-
-    position: Float[Array, "*slots 3"]
-    cloud: WorldCloud
-    normal: Float[Array, "*slots 3"]
+    @property
+    def position(self) -> Any:
+        """(3,) [m], or (T, 3) of T slots."""
 
 
-Locate = Callable[[jax.Array, Array | Coefficients, jax.Array, jax.Array], Found]
+Locate = Callable[[jax.Array, Array | Coefficients, jax.Array, jax.Array], Located]
 """(key, what is heard of one slot, q_pre (3,) [m], SNR () [dB]) -> what is found."""
 
 
@@ -43,7 +37,7 @@ class Followed(NamedTuple):
 
     predicted: Float[Array, "slots 3"]
     snr_db: Float[Array, " slots"]
-    found: Found
+    found: Located
 
 
 def follow(

@@ -21,6 +21,7 @@ import numpy as np
 from flax import nnx
 
 from august_jax import config as configuration
+from august_jax import streams
 from august_jax.config import Config
 from august_jax.data.fields import Batch
 from august_jax.files import rename, write_text
@@ -39,6 +40,7 @@ Draw = Callable[[Path, Path], None]
 """(metrics.jsonl, picture to write); ``plotting.training_curves`` is one."""
 
 
+@streams.pin
 def train(config: Config, next_batch: NextBatch, out_dir: str | Path, *, validate: Validate | None = None,
           draw: Draw | None = None, weights: str | Path | None = None,
           progress: Progress = silent) -> TrainState:
