@@ -7,6 +7,7 @@ triples of them (``mde_triples``), both of :mod:`august_jax.tracking.attitude`. 
 
 from __future__ import annotations
 
+import time
 import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -69,7 +70,8 @@ def evaluate(networks: Networks, config: Config, *, seed: int, progress: Progres
     rows: list[Row] = []
     deaf: dict[str, dict[str, float | None]] = {}
     bound = None
-    for snr_db in config.evaluate.snr_db:
+    began, levels = time.monotonic(), config.evaluate.snr_db
+    for done, snr_db in enumerate(levels, 1):
         batch = observed_anew(seen_key, samples, config, snr_db)
         if bound is None:  # predictions are the same at any SNR
             progress("bounding what any estimator could do")
@@ -84,7 +86,8 @@ def evaluate(networks: Networks, config: Config, *, seed: int, progress: Progres
                     deaf[name] = scored
             rows.append({"scheme": name, "label": SCHEMES[name].label, "snr_db": snr_db, **scored, "count": count,
                          **bound.at(snr_db)})
-        progress(f"SNR {snr_db:g} dB: MPE {rows[-len(asks)]['mpe_m']:.3f} m")
+        left = (time.monotonic() - began) / done * (len(levels) - done)
+        progress(f"SNR {snr_db:g} dB: MPE {rows[-len(asks)]['mpe_m']:.3f} m  {left:.0f} s left")
     return rows
 
 
