@@ -7,5 +7,5 @@ import numpy as np
 
 Array = jax.Array | np.ndarray
 """An array of JAX or of NumPy."""
-ArrayLike = Array | np.generic | float | int | complex
+ArrayLike = Array | np.number | float | int | complex
 """An array or a plain number."""

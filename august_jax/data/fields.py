@@ -67,7 +67,7 @@ class Sample(NamedTuple):
     observed: Observed | None = None
 
     @property
-    def count(self) -> int:
+    def rows(self) -> int:
         """Number of rows n."""
         return len(self.position)
 

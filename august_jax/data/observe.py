@@ -50,7 +50,7 @@ def observed_anew(key: jax.Array, samples: Sample, config: Config, snr_db: Array
         seen = observe_for(config, echo_key, unpack(packed), predicted, **level)
         return predicted, seen.snr_estimate_db, seen.heard
 
-    keys = jax.random.split(key, samples.count)
+    keys = jax.random.split(key, samples.rows)
     predicted, level, heard = jax.vmap(one)(keys, samples.true_channel, samples.position)
     return _batch(samples, predicted, level, heard, config)
 

@@ -44,7 +44,7 @@ def unit_information(samples: Sample, predicted: Float[Array, "n 3"], targets: S
     found = []
     for kind, target in enumerate(targets):
         mine = np.flatnonzero(samples.airframe == kind)
-        if len(mine):
+        if len(mine) and target.body is not None:
             books = [codebook(jnp.asarray(place), config.array, config.signal) for place in predicted[mine]]
             lit = np.stack([np.asarray(book @ book.conj().T) for book in books])
             found.append(fisher_information(
@@ -76,7 +76,7 @@ class Bound:
     def __init__(self, samples: Sample, predicted: Float[Array, "n 3"], targets: Sequence[Target], config: Config):
         order = np.argsort(samples.airframe[:SAMPLES], kind="stable")
         self._information = unit_information(samples.at(order), np.asarray(predicted)[order], targets, config)
-        self._normal = samples.rotation[order, :, 2]
+        self._normal = np.asarray(samples.rotation[order, :, 2])
         self._spread = spread_of(config)
 
     def at(self, snr_db: float) -> dict[str, float | None]:

@@ -98,7 +98,7 @@ def _own(root: jax.Array, name: str) -> jax.Array:
 
 def _in_pieces(ask: Ask, key: jax.Array, slots: Slots) -> Answer:
     answers = [ask(jax.random.fold_in(key, start), slots.at(slice(start, start + _PIECE)))
-               for start in range(0, slots.count, _PIECE)]
+               for start in range(0, slots.slots, _PIECE)]
     return jax.tree.map(lambda *parts: jnp.concatenate(parts), *answers)
 
 
@@ -106,7 +106,7 @@ def _resampled(key: jax.Array, samples: Sample, airframes: Sequence[Airframe], c
     """The true clouds in the world (B, count, 3) [m], drawn a second time."""
     bodies = jnp.stack([airframe.sample_surface(jax.random.fold_in(key, row), count)
                         for row, airframe in enumerate(airframes[index] for index in samples.airframe)])
-    return transform(bodies, samples.rotation, samples.position)
+    return jnp.asarray(transform(bodies, samples.rotation, samples.position))
 
 
 def validator(

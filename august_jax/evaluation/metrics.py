@@ -118,7 +118,7 @@ def mde(estimated_normal: Float[Array, "batch 3"], normal: Float[Array, "batch 3
     return jnp.mean(1.0 - jnp.sum(jnp.asarray(estimated_normal) * normal, axis=-1))
 
 
-def _check_clouds(estimated, true) -> None:
+def _check_clouds(estimated: Array, true: Array) -> None:
     shapes = jnp.shape(estimated), jnp.shape(true)
     if any(len(shape) != 3 or shape[-1] != 3 for shape in shapes) or shapes[0][0] != shapes[1][0]:
         raise ValueError(
@@ -127,7 +127,7 @@ def _check_clouds(estimated, true) -> None:
         )
 
 
-def _check_vectors(name: str, first, other: str, second) -> None:
+def _check_vectors(name: str, first: Array, other: str, second: Array) -> None:
     shapes = jnp.shape(first), jnp.shape(second)
     if shapes[0] != shapes[1] or len(shapes[0]) != 2 or shapes[0][-1] != 3:
         raise ValueError(f"{name}, {other}: got shapes {shapes[0]} and {shapes[1]}; give (B, 3) for both")

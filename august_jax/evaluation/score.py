@@ -56,6 +56,8 @@ def score(answer: Answer, truth: Truth, size_m: float) -> dict[str, float | None
         values["mde_triples"] = float(metrics.mde(answer.triple_normal, truth.normal))
     if answer.cloud is not None:
         place = answer.centre if answer.position is None else answer.position
+        if place is None:
+            raise ValueError("answer: got a cloud without a position or a centre; say where it lies")
         wd_db = float(metrics.wd_db(answer.cloud.points, truth.cloud, place, truth.position))
         values |= {"wd_db": wd_db, "wd_size_db": wd_db - float(20.0 * np.log10(size_m)),
                    "mcd_db": float(metrics.mcd_db(answer.cloud.points, truth.cloud))}

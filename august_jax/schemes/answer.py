@@ -54,7 +54,7 @@ class Slots(NamedTuple):
     truth: Truth | None
 
     @property
-    def count(self) -> int:
+    def slots(self) -> int:
         """Number of slots B."""
         return len(self.predicted)
 

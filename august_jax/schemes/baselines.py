@@ -47,7 +47,7 @@ def _prediction(setting: Setting) -> Ask:
 
 def _up(setting: Setting) -> Ask:
     def ask(key: jax.Array, slots: Slots) -> Answer:
-        up = jnp.broadcast_to(jnp.array([0.0, 0.0, 1.0]), (slots.count, 3))
+        up = jnp.broadcast_to(jnp.array([0.0, 0.0, 1.0]), (slots.slots, 3))
         return Answer(normal=up, triple_normal=up)
     return ask
 
