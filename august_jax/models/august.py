@@ -41,7 +41,7 @@ from august_jax.arrays import Array
 from august_jax.config import Config, Sampler
 from august_jax.models.craft import KIND_SIZE, READING_SIZE, CraftFrame, Reading, RegionFrame, frame_of
 from august_jax.models.denoiser import Denoiser
-from august_jax.models.diffusion import Sample, Schedule, add_noise, ancestral, dpm, draw_steps
+from august_jax.models.diffusion import PointSampler, Schedule, add_noise, ancestral, dpm, draw_steps
 from august_jax.models.encoder import ChannelInput, Encoder, Heard, Seen
 from august_jax.models.flow import RealNVP
 from august_jax.models.layers import MLP, dense
@@ -245,7 +245,7 @@ class August(nnx.Module):
     def _frame(self, seen: Seen) -> RegionFrame | CraftFrame:
         return frame_of(self.config, seen.centre)
 
-    def _sampler(self, name: Sampler, steps: int) -> Sample:
+    def _sampler(self, name: Sampler, steps: int) -> PointSampler:
         if name == "dpm":
             return lambda key, denoise, shape: dpm(key, denoise, shape, self.schedule, steps)
         if name == "ancestral":

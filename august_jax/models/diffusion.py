@@ -30,7 +30,7 @@ from august_jax.arrays import Array
 Denoise = Callable[[jax.Array, jax.Array], jax.Array]
 """(points (B, P, D), step s ()) -> estimated noise (B, P, D)."""
 
-Sample = Callable[[Array, Denoise, tuple[int, int, int]], jax.Array]
+PointSampler = Callable[[Array, Denoise, tuple[int, int, int]], jax.Array]
 """(key, denoise, shape (B, P, D)) -> draws of that shape: a sampler with its schedule."""
 
 

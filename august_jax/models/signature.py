@@ -21,7 +21,7 @@ from august_jax.arrays import Array
 from august_jax.config import TimeEmbedding
 from august_jax.models.craft import HARMONICS
 from august_jax.models.denoiser import Denoiser
-from august_jax.models.diffusion import Sample, Schedule, add_noise, draw_steps
+from august_jax.models.diffusion import PointSampler, Schedule, add_noise, draw_steps
 
 _NUMBERS = 2 * HARMONICS
 _WIDTHS = (256, 256, 256)
@@ -46,7 +46,7 @@ class Signature(nnx.Module):
         return jnp.mean((noise - found) ** 2)
 
     def draw(self, key: Key[Array, ""], condition: Float[Array, "batch features"],
-             sample: Sample) -> Float[jax.Array, "batch 16"]:
+             sample: PointSampler) -> Float[jax.Array, "batch 16"]:
         """Harmonics (B, 16) for conditions (B, C)."""
         shape = (len(condition), 1, _NUMBERS)
         return sample(key, lambda points, step: self.denoiser(points, step, condition), shape)[:, 0] / _SCALE
