@@ -17,6 +17,9 @@ from august_jax.physics.array import PlanarArray, wavenumber
 from august_jax.physics.body.spans import pivots, spanned
 
 _TOLERANCE = 3e-6  # smallest singular value kept of the fields over the aperture, relative to the largest
+_SOURCES = 512  # that are sampled at first; twice as many while they have fewer than _A_RANK parts a dimension
+_A_RANK = 3
+_BLOCK = 1 << 20  # complex numbers that are made at a time: 16 MB
 
 
 class Aperture(NamedTuple):
@@ -48,21 +51,39 @@ def aperture_skeleton(
     """
     k = wavenumber(frequency_hz)
     elements = array.positions - array.positions.mean(axis=0)
+    count = _SOURCES
+    # The problem is symmetric under complex conjugation (a mirrored body), hence a real basis.
+    basis, _ = spanned(_sampled(elements, k, radius_m, nearest_m, count), _TOLERANCE)
+    while 2 * count < _A_RANK * basis.shape[1]:
+        count *= 2
+        basis, _ = spanned(_sampled(elements, k, radius_m, nearest_m, count), _TOLERANCE)
+    chosen = pivots(basis)
+    return chosen, basis @ np.linalg.inv(basis[chosen])
+
+
+def _sampled(elements, k, radius_m, nearest_m, count):
+    """Real and imaginary parts (N_b, 2 count) of the elements' fields at random places, phases to the body's centre out.
+
+    The nearest distance and the surface of the ball are the worst case; nothing beyond varies faster.
+    """
     random = np.random.default_rng(0)
-    count = 60 * len(elements)
 
-    def on_sphere(radius):
+    def directions():
         vectors = random.normal(size=(count, 3))
-        return radius * vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+        return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
 
-    # The nearest distance and the surface of the ball are the worst case; nothing beyond varies faster.
-    centre, inside = on_sphere(nearest_m), on_sphere(radius_m)
-    offset = (centre + inside)[:, None] - elements
-    r, to_centre = np.linalg.norm(offset, axis=-1), np.linalg.norm(centre[:, None] - elements, axis=-1)
-    samples = np.exp(1j * k * (r - to_centre)) * nearest_m / r
-    vectors, values = spanned(samples.T, _TOLERANCE)
-    # The problem is symmetric under complex conjugation (a mirrored body), hence a real basis exists.
-    both = np.concatenate([(vectors * values).real, (vectors * values).imag], axis=1)
-    basis, _ = spanned(both, _TOLERANCE)
-    chosen = pivots(basis.real)
-    return chosen, basis.real @ np.linalg.inv(basis.real[chosen])
+    outward, inside = directions(), radius_m * directions()
+    samples = np.empty((2, count, len(elements)))
+    step = max(_BLOCK // len(elements), 1)
+    for start in range(0, count, step):
+        here = slice(start, start + step)
+        # From the middle of a large array that distance may end beside an element: on, until it is far from all.
+        along = outward[here] @ elements.T
+        square = nearest_m**2 - np.sum(elements**2, axis=1) + along**2
+        leaves = np.where(square > 0.0, along + np.sqrt(np.maximum(square, 0.0)), 0.0).max(axis=1)
+        centre = np.maximum(nearest_m, leaves)[:, None] * outward[here]
+        to_centre = np.linalg.norm(centre[:, None] - elements, axis=-1)
+        r = np.linalg.norm((centre + inside[here])[:, None] - elements, axis=-1)
+        fields = np.exp(1j * k * (r - to_centre)) * nearest_m / r
+        samples[:, here] = fields.real, fields.imag
+    return samples.reshape(2 * count, -1).T
