@@ -18,7 +18,7 @@ import numpy as np
 from script import run
 
 from august_jax.physics import PlanarArray, factor_body, fisher_information, position_bound, tilt_bound
-from august_jax.physics.information import Prior
+from august_jax.physics.information import Spread
 from august_jax.app.plotting import new_figure, save
 from august_jax.scene import procedural_airframe, rotation_from_euler
 
@@ -69,8 +69,8 @@ def compute(small: bool, report=print) -> dict[str, np.ndarray]:
 def draw(results: dict[str, np.ndarray], path: Path) -> None:
     """Six panels: position over range by array and by comb, tilt, and two maps of range and SNR."""
     cases, ranges, snrs = list(results["cases"]), results["ranges_m"], results["snrs_db"]
-    prior = Prior()
-    floor = prior.position_m * np.sqrt(3.0)
+    spread = Spread()
+    floor = spread.position_m * np.sqrt(3.0)
     at20 = int(np.argmin(np.abs(snrs - 20.0)))
     fig = new_figure(15.0, 8.5)
     axes = fig.subplots(2, 3)
@@ -85,7 +85,7 @@ def draw(results: dict[str, np.ndarray], path: Path) -> None:
 
     by_array = [label for label in cases if label.endswith(", 1 tone")]
     by_comb = [label for label in cases if label.startswith("16x4")]
-    tilt_prior = np.rad2deg(prior.turn_rad) * np.sqrt(2.0)
+    tilt_prior = np.rad2deg(spread.turn_rad) * np.sqrt(2.0)
     lines(axes[0, 0], by_array, results["position_m"], "m", floor, "position bound")
     lines(axes[0, 1], by_comb, results["position_m"], "m", floor, "position bound")
     lines(axes[1, 0], by_array, results["tilt_deg"], "deg", tilt_prior, "tilt bound")

@@ -16,7 +16,7 @@ from august_jax.arrays import Array
 from august_jax.config import Config
 from august_jax.data import Sample, Target
 from august_jax.physics import PlanarArray, fisher_information, mean_position_error, tilt_bound
-from august_jax.physics.information import Prior
+from august_jax.physics.information import Spread
 from august_jax.signal.station import codebook
 
 SAMPLES = 100
@@ -53,12 +53,12 @@ def unit_information(samples: Sample, predicted: Float[Array, "n 3"], targets: S
     return np.concatenate(found)
 
 
-def spread_of(config: Config) -> Prior:
+def spread_of(config: Config) -> Spread:
     """What is known before the echo: the prediction's threshold, the ranges of tilt and material, any heading."""
     def uniform(low: float, high: float) -> float:
         return max(high - low, 1e-6 * max(abs(high), 1e-9)) / np.sqrt(12.0)
 
-    return Prior(
+    return Spread(
         position_m=max(uniform(-config.region.threshold_m, config.region.threshold_m), 1e-6),
         turn_rad=uniform(*np.deg2rad([-config.flight.tilt_deg, config.flight.tilt_deg])),
         heading_rad=uniform(-np.pi, np.pi),

@@ -4,18 +4,21 @@ from august_jax.physics.array import AntennaArray, PlanarArray, wavenumber
 from august_jax.physics.body import Body, alike, body_channel, cache_folder, factor_bodies, factor_body
 from august_jax.physics.cells import Cells
 from august_jax.physics.channel import SOLVERS, sensing_channel, sensing_channels
-from august_jax.physics.green import coupling_matrix, dipole_fields, dyadic_green
+from august_jax.physics.green import coupling_matrix, dipole_fields, dyadic_green, path_difference
 from august_jax.physics.information import (
-    fisher_information, mean_position_error, position_bound, tilt_bound, unknown_gain_position_bound, without_gain,
+    Spread, fisher_information, mean_position_error, position_bound, tilt_bound, unknown_gain_position_bound,
+    without_gain,
 )
 from august_jax.physics.krylov import KrylovSolution, solve_krylov
 from august_jax.physics.materials import contrast
 from august_jax.physics.mom import Solution, interaction_matrix, self_term, solve_dense
+from august_jax.physics.parameters import PARAMETERS, Parameters, moved, parameter_channel, rotation_from_vector
 
 __all__ = [
-    "SOLVERS", "AntennaArray", "Body", "Cells", "KrylovSolution", "PlanarArray", "Solution", "alike", "body_channel",
-    "cache_folder", "contrast", "coupling_matrix", "dipole_fields", "dyadic_green", "factor_bodies", "factor_body",
-    "fisher_information", "interaction_matrix", "mean_position_error", "position_bound", "self_term",
-    "sensing_channel", "sensing_channels", "solve_dense", "solve_krylov", "tilt_bound",
-    "unknown_gain_position_bound", "wavenumber", "without_gain",
+    "PARAMETERS", "SOLVERS", "AntennaArray", "Body", "Cells", "KrylovSolution", "Parameters", "PlanarArray",
+    "Solution", "Spread", "alike", "body_channel", "cache_folder", "contrast", "coupling_matrix", "dipole_fields",
+    "dyadic_green", "factor_bodies", "factor_body", "fisher_information", "interaction_matrix",
+    "mean_position_error", "moved", "parameter_channel", "path_difference", "position_bound",
+    "rotation_from_vector", "self_term", "sensing_channel", "sensing_channels", "solve_dense", "solve_krylov",
+    "tilt_bound", "unknown_gain_position_bound", "wavenumber", "without_gain",
 ]

@@ -6,7 +6,9 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
+from jaxtyping import Float
+
+from august_jax.arrays import Array, ArrayLike
 
 
 class Cells(NamedTuple):
@@ -24,39 +26,50 @@ class Cells(NamedTuple):
             or use :meth:`moved`.
     """
 
-    positions: jax.Array | np.ndarray
-    volumes: jax.Array | np.ndarray
-    fill: jax.Array | np.ndarray | float = 1.0
-    normals: jax.Array | np.ndarray | None = None
-    centroids: jax.Array | np.ndarray | None = None
+    positions: Float[Array, "*batch n 3"]
+    volumes: Float[Array, "*batch n"]
+    fill: Float[Array, "*batch n"] | ArrayLike = 1.0
+    normals: Float[Array, "*batch n 3"] | Float[Array, "*batch n 3 3"] | None = None
+    centroids: Float[Array, "*batch n 3"] | None = None
 
     @property
     def count(self) -> int:
         """Number of cells N."""
-        return self.positions.shape[-2]
+        return jnp.shape(self.positions)[-2]
 
-    def fractions(self) -> jax.Array:
+    def fractions(self) -> Float[Array, "*batch n"]:
         """Fill fractions as (N,)."""
-        return jnp.broadcast_to(jnp.asarray(self.fill), self.volumes.shape)
+        return jnp.broadcast_to(jnp.asarray(self.fill), jnp.shape(self.volumes))
 
-    def sites(self) -> jax.Array | np.ndarray:
+    def sites(self) -> Float[Array, "*batch n 3"]:
         """Where the antennas' fields are taken (N, 3) [m]: the material's centroids, else ``positions``."""
         return self.positions if self.centroids is None else self.centroids
 
-    def tensors(self) -> jax.Array:
+    def tensors(self) -> Float[jax.Array, "*batch n 3 3"]:
         """n n^T as (N, 3, 3); zero where no normals are given."""
         if self.normals is None:
-            return jnp.zeros((*self.volumes.shape, 3, 3), jnp.asarray(self.positions).dtype)
+            return jnp.zeros((*jnp.shape(self.volumes), 3, 3), jnp.asarray(self.positions).dtype)
         normals = jnp.asarray(self.normals)
         if normals.ndim == jnp.ndim(self.volumes) + 1:
             return normals[..., :, None] * normals[..., None, :]
         return normals
 
-    def moved(self, rotation, translation) -> Cells:
-        """The cells after x -> R x + t; rotation (3, 3), translation (3,) [m]."""
+    def moved(self, rotation: Float[Array, "3 3"], translation: Float[Array, "3"]) -> Cells:
+        """The cells after x -> R x + t; rotation (3, 3), translation (3,) [m].
+
+        Raises:
+            ValueError: a matrix that is no rotation, or a place that is not finite.
+        """
+        from august_jax.physics.checks import check_finite, check_rotation, settled  # they know cells themselves
+
+        check_rotation(rotation)
+        check_finite("translation", translation, "give a place (3,) in m")
+        rotation, translation = settled("rotation", rotation), settled("translation", translation)
         normals = None
         if self.normals is not None:
             normals = jnp.einsum("ab,nbc,dc->nad", rotation, self.tensors(), rotation)
         turn = jnp.asarray(rotation).T
-        centroids = None if self.centroids is None else self.centroids @ turn + translation
-        return self._replace(positions=self.positions @ turn + translation, normals=normals, centroids=centroids)
+        positions, centroids = (
+            None if places is None else settled("cells", places) @ turn + translation
+            for places in (self.positions, self.centroids))
+        return self._replace(positions=positions, normals=normals, centroids=centroids)

@@ -19,28 +19,37 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from functools import partial
+from typing import Literal, get_args
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Complex
 
+from august_jax.arrays import Array, ArrayLike
 from august_jax.physics.array import AntennaArray, PlanarArray, wavenumber
 from august_jax.physics.cells import Cells
-from august_jax.physics.checks import check_cells, check_contrast, is_concrete, warn_of_coarse_cells
+from august_jax.physics.checks import (
+    check_apart, check_cells, check_contrast, check_ends, check_frequency, edges_and_fills, is_concrete, settled,
+    settled_cells, warn_of_coarse_cells,
+)
 from august_jax.physics.green import dipole_fields
 from august_jax.physics.krylov import differentiable_once, moving_channel, solve_moving
 from august_jax.physics.mom import interaction_matrix, solve_dense, weighted_fields
+
+Solver = Literal["mom", "krylov", "local_field_born", "born"]
+SOLVERS: tuple[Solver, ...] = get_args(Solver)
 
 
 def sensing_channel(
     array: PlanarArray | AntennaArray,
     cells: Cells,
-    contrast: jax.Array | complex,
+    contrast: ArrayLike | Sequence,
     *,
-    solver: str = "mom",
-    frequencies_hz: Sequence[float | jax.Array] | None = None,
+    solver: Solver = "mom",
+    frequencies_hz: Sequence[ArrayLike] | Array | None = None,
     receiver: PlanarArray | AntennaArray | None = None,
-) -> jax.Array:
+) -> Complex[jax.Array, "*tones receive transmit"]:
     """Sensing channel H of cells in the world frame.
 
     Args:
@@ -49,66 +58,79 @@ def sensing_channel(
         contrast: chi, scalar or (N,). With ``frequencies_hz``, a leading axis of F is taken as one value (or row)
             a tone: (F, 1) or (F, N).
         solver: ``mom``, ``krylov``, ``local_field_born`` or ``born``.
-        frequencies_hz: F tones [Hz]; None means the array's own frequency and no tone axis. Plain numbers keep more
-            digits of the phase than traced ones (1e-6 against 1e-4 rad at 25 m in single precision).
-        receiver: the antennas that receive, where they are not those that transmit.
+        frequencies_hz: F tones [Hz]; None means the array's own frequency and no tone axis. They take the carrier's
+            place: the antennas stay where they are. Plain numbers keep more digits of the phase than traced ones (1e-6
+            against 1e-4 rad at 25 m in single precision).
+        receiver: the antennas that receive, where they are not those that transmit; of the same carrier.
 
     Returns:
         H [1/m] (N_b, N_b), or (F, N_b, N_b); row m is what antenna m receives, column n what n transmits. Complex, of
         the precision of ``cells``, symmetric without ``receiver``. Differentiable in positions, contrast, tones and an
         :class:`AntennaArray`; ``jax.vmap`` makes batches.
 
-    Raises:
-        ValueError: unknown solver, mismatched shapes, malformed cells, or an antenna within a cell.
+    Whole and half-precision numbers among the arguments become float32.
 
-    Warns where cells are too coarse for the wavelength in their material. Second derivatives through ``krylov`` raise
+    Raises:
+        ValueError: unknown solver, mismatched shapes, malformed cells, a contrast that is not finite, tones that are
+            none or not positive, ends of different carriers, or an antenna within a cell.
+
+    Warns where cells are too coarse for the wavelength in their material (in one of permittivity 3, where the contrast
+    is traced), and of a contrast that is zero everywhere. Second derivatives through ``krylov`` raise
     NotImplementedError.
     """
     if solver not in SOLVERS:
         raise ValueError(f"solver: unknown solver {solver!r}; choose one of {', '.join(SOLVERS)}")
-    check_cells(cells)
-    count = cells.positions.shape[0]
-    for end in (array, receiver):
-        if end is not None and is_concrete((cells, end)):
-            gap = np.linalg.norm(np.asarray(cells.positions)[:, None] - np.asarray(end.positions), axis=-1).min()
-            if gap < np.cbrt(np.max(np.asarray(cells.volumes))):
-                raise ValueError(
-                    f"cells.positions: a cell is {gap:.3g} m from an antenna; keep the array outside the body"
-                )
+    cells, rows, tones = _checked(array, cells, contrast, frequencies_hz, receiver)
     if frequencies_hz is None:
-        check_contrast(contrast, count)
-        warn_of_coarse_cells(cells, contrast, wavenumber(array.frequency_hz))
-        return _channel(array, receiver, cells, jnp.asarray(contrast), solver, array.frequency_hz)
-    tones = [float(tone) if is_concrete(tone) else tone for tone in frequencies_hz]
-    if np.ndim(contrast) == 2:
-        if np.shape(contrast)[0] != len(tones) or np.shape(contrast)[1] not in (1, count):
-            raise ValueError(
-                f"contrast: got shape {np.shape(contrast)}; give ({len(tones)}, 1) or ({len(tones)}, {count}) for "
-                "these tones"
-            )
-        rows = [contrast[tone] if np.shape(contrast)[1] == count else contrast[tone, 0] for tone in range(len(tones))]
-    else:
-        check_contrast(contrast, count)
-        rows = [contrast] * len(tones)
+        return _channel(array, receiver, cells, jnp.asarray(rows[0]), solver, array.frequency_hz)
     channels = []
     for row, tone in zip(rows, tones, strict=True):
-        warn_of_coarse_cells(cells, row, wavenumber(tone))
         # A frequency that is differentiated is inside a trace already and cannot be a constant of another.
         solve = _channel if isinstance(tone, float) else _channel.__wrapped__
         channels.append(solve(array, receiver, cells, jnp.asarray(row), solver, tone))
     return jnp.stack(channels)
 
 
+def _checked(array, cells, contrast, frequencies_hz, receiver):
+    """Cells of a float type, and contrast and frequency of each tone, all refused or warned of where they should be."""
+    cells, contrast = check_cells(cells), settled("contrast", contrast)
+    count = cells.count
+    check_ends(array, receiver)
+    for end in (array, receiver):
+        if end is not None:
+            check_apart(end, cells)
+    if frequencies_hz is None:
+        tones = [array.frequency_hz]
+    else:
+        tones = [] if isinstance(frequencies_hz, (str, float, int)) else list(frequencies_hz)
+        if not tones:
+            raise ValueError(f"frequencies_hz: got {frequencies_hz!r}; give a sequence of tones in Hz, e.g. [3e9], or "
+                             "None for the array's carrier")
+        tones = [check_frequency("frequencies_hz", tone) if is_concrete(tone) else tone for tone in tones]
+    if frequencies_hz is not None and np.ndim(contrast) == 2:
+        check_contrast(contrast, ((len(tones), 1), (len(tones), count)),
+                       f"({len(tones)}, 1) or ({len(tones)}, {count}) for these tones")
+        rows = [row[0] if np.shape(row) == (1,) else row for row in contrast]
+    else:
+        check_contrast(contrast, ((), (count,)), f"a scalar or ({count},), one value a cell")
+        rows = [contrast] * len(tones)
+    sizes = edges_and_fills(cells)
+    if sizes is not None:
+        for row, tone in zip(rows, tones, strict=True):
+            warn_of_coarse_cells(*sizes, row, wavenumber(tone))
+    return cells, rows, tones
+
+
 def sensing_channels(
     array: PlanarArray | AntennaArray,
     cells: Cells,
-    contrast: jax.Array,
+    contrast: ArrayLike | Sequence,
     *,
-    solver: str = "mom",
-    frequencies_hz: Sequence[float] | None = None,
+    solver: Solver = "mom",
+    frequencies_hz: Sequence[float] | Array | None = None,
     receiver: PlanarArray | AntennaArray | None = None,
     microbatch: int | None = None,
-) -> jax.Array:
+) -> Complex[jax.Array, "batch *tones receive transmit"]:
     """Channels of B targets of equally many cells: :func:`sensing_channel` mapped over their leading axis.
 
     A dense target needs two matrices of (3N)^2 complex numbers while it is solved, so only ``microbatch`` of them are
@@ -124,8 +146,22 @@ def sensing_channels(
 
     Returns:
         (B, N_b, N_b), or (B, F, N_b, N_b).
+
+    Raises:
+        ValueError: as :func:`sensing_channel`, of any of the targets; a batch whose parts disagree in size.
+
+    Warns as :func:`sensing_channel`.
     """
-    count = np.shape(cells.positions)[-2]
+    cells, contrast = settled_cells(cells), settled("contrast", contrast)
+    shape = np.shape(cells.positions)
+    if len(shape) != 3 or np.shape(contrast)[:1] != shape[:1]:
+        raise ValueError(f"cells.positions, contrast: got shapes {shape} and {np.shape(contrast)}; give (B, N, 3) and "
+                         "(B,), one target a row")
+    many, count = shape[:2]
+    if is_concrete(cells):
+        for row in range(many):
+            target = Cells(*(part if part is None or np.ndim(part) == 0 else part[row] for part in cells))
+            _checked(array, target, contrast[row], frequencies_hz, receiver)
     size = microbatch or (1 if solver == "krylov" else _microbatch(count, jnp.result_type(cells.positions)))
     fill = jnp.broadcast_to(jnp.asarray(cells.fill), np.shape(cells.volumes))
 
@@ -190,4 +226,3 @@ def _local_field_born(cells: Cells, contrast, fields, k):
 
 _POLARIZATIONS: dict[str, Callable] = {"mom": _mom, "local_field_born": _local_field_born, "born": _born}
 """Polarisations P of the weighted cells under the fields E', by solver name."""
-SOLVERS = ("mom", "krylov", "local_field_born", "born")

@@ -5,11 +5,10 @@ illumination Q and the SNR s = ||H X||^2/||N||^2 over n = N_b L noise samples, t
 
     F_ab = 2 s n Re tr(d_a H Q d_b H^H) / tr(H Q H^H),
 
-whatever the absolute power is. theta holds, in this order, position [m] (3), a rotation vector in world axes [rad]
-(3), permittivity, conductivity [S/m], and log-amplitude and phase [rad] of a complex gain that multiplies H. A gain
-that is known is one with a narrow prior. With independent priors of standard deviation p_a, the errors' covariance is
-bounded by (F + diag(1/p^2))^{-1} (the linearised posterior; exact for Gaussian posteriors, optimistic where several
-places explain the echo equally well).
+whatever the absolute power is. theta is that of :mod:`august_jax.physics.parameters`; a gain that is known is one with
+a narrow spread. With independent priors of standard deviation p_a, the errors' covariance is bounded by
+(F + diag(1/p^2))^{-1} (the linearised posterior; exact for Gaussian posteriors, optimistic where several places explain
+the echo equally well).
 
 One tone's absolute phase repeats every half wavelength of range, 5 cm at 3 GHz: within a prior of decimetres it is
 no information that an estimator could use, although F counts it. The unknown gain is the honest case.
@@ -22,16 +21,16 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
+from august_jax.arrays import Array, ArrayLike
 from august_jax.physics.array import AntennaArray, PlanarArray, wavenumber
-from august_jax.physics.materials import contrast
-from august_jax.physics.body import Body, body_channel
-
-PARAMETERS = ("x", "y", "z", "turn_x", "turn_y", "turn_z", "permittivity", "conductivity", "log_gain", "phase")
-"""What the rows and columns of the information matrix stand for."""
+from august_jax.physics.body import Body
+from august_jax.physics.checks import check_finite, check_nearest, check_rotation, is_concrete
+from august_jax.physics.parameters import PARAMETERS, Parameters, parameter_channel
 
 
-class Prior(NamedTuple):
+class Spread(NamedTuple):
     """Standard deviations of the parameters before the echo is seen.
 
     Attributes:
@@ -58,21 +57,21 @@ class Prior(NamedTuple):
                          self.conductivity, self.log_gain, self.phase])
 
 
-KNOWN_GAIN = Prior(log_gain=1e-4, phase=1e-4)
+KNOWN_GAIN = Spread(log_gain=1e-4, phase=1e-4)
 
 
 def fisher_information(
     body: Body,
     array: PlanarArray | AntennaArray,
-    rotation: jax.Array,
-    position: jax.Array,
-    permittivity: jax.Array,
-    conductivity: jax.Array,
-    snr: jax.Array,
+    rotation: Float[Array, "*poses 3 3"],
+    position: Float[Array, "*poses 3"],
+    permittivity: ArrayLike,
+    conductivity: ArrayLike,
+    snr: ArrayLike,
     *,
-    illumination: jax.Array | None = None,
+    illumination: Array | None = None,
     receiver: PlanarArray | AntennaArray | None = None,
-) -> np.ndarray:
+) -> Float[np.ndarray, "*poses 10 10"]:
     """Fisher information of one pose, or of a batch.
 
     Args:
@@ -88,7 +87,13 @@ def fisher_information(
 
     Returns:
         (..., 10, 10) float64, in the order of ``PARAMETERS``.
+
+    Raises:
+        ValueError: numbers that are not finite, a matrix that is no rotation, a body of air (its echo is zero), a body
+            nearer than ``body.nearest_m`` to an antenna, an SNR that is not positive, or ends that
+            :func:`august_jax.physics.body_channel` refuses.
     """
+    _check(body, array, receiver, rotation, position, permittivity, conductivity, snr)
     batch = np.shape(position)[:-1]
     lit = jnp.eye(array.count) if illumination is None else jnp.asarray(illumination)
     parts = (
@@ -109,9 +114,32 @@ def fisher_information(
     return information.reshape(*batch, len(PARAMETERS), len(PARAMETERS))
 
 
-def error_covariance(information: np.ndarray, prior: Prior = Prior()) -> np.ndarray:
+def _check(body, array, receiver, rotation, position, permittivity, conductivity, snr):
+    """Refuse poses and materials of which nothing can be known."""
+    check_rotation(rotation)
+    for name, value, way_out in (
+        ("position", position, "give places (..., 3) in m"), ("permittivity", permittivity, "give a number"),
+        ("conductivity", conductivity, "give a number"), ("snr", snr, "give a linear ratio, 100 for 20 dB"),
+    ):
+        check_finite(name, value, way_out)
+    if is_concrete(snr) and np.any(np.asarray(snr) <= 0.0):
+        raise ValueError(f"snr: got {np.min(snr):g}; give a positive linear ratio, 100 for 20 dB")
+    if is_concrete((permittivity, conductivity)):
+        air = (np.asarray(permittivity) == 1.0) & (np.asarray(conductivity) == 0.0)
+        if np.any(air):
+            raise ValueError("permittivity: is 1 at a conductivity of 0, a body of air: its echo is zero and holds no "
+                             "information; give another material")
+    for end in (array, receiver):
+        if end is not None and is_concrete((position, end)):
+            for place in np.reshape(position, (-1, 3)):
+                check_nearest(body.nearest_m, end, place, "position")
+
+
+def error_covariance(
+    information: Float[Array, "*poses 10 10"], spread: Spread = Spread()
+) -> Float[np.ndarray, "*poses 10 10"]:
     """(F + diag(1/p^2))^{-1}, the bound on the errors' covariance (..., 10, 10), float64."""
-    deviation = prior.deviations()
+    deviation = spread.deviations()
     scaled = deviation[:, None] * np.asarray(information, np.float64) * deviation
     # Derivatives in single precision leave an information that should be zero slightly negative.
     values, vectors = np.linalg.eigh(0.5 * (scaled + np.swapaxes(scaled, -1, -2)))
@@ -119,30 +147,36 @@ def error_covariance(information: np.ndarray, prior: Prior = Prior()) -> np.ndar
     return deviation[:, None] * inverse * deviation
 
 
-def position_bound(information: np.ndarray, prior: Prior = Prior()) -> np.ndarray:
+def position_bound(
+    information: Float[Array, "*poses 10 10"], spread: Spread = Spread()
+) -> Float[np.ndarray, "*poses"] | np.floating:
     """Bound on the root-mean-square position error (...,) [m]."""
-    return np.sqrt(np.trace(error_covariance(information, prior)[..., :3, :3], axis1=-2, axis2=-1))
+    return np.sqrt(np.trace(error_covariance(information, spread)[..., :3, :3], axis1=-2, axis2=-1))
 
 
-def mean_position_error(information: np.ndarray, prior: Prior = Prior()) -> np.ndarray:
+def mean_position_error(
+    information: Float[Array, "*poses 10 10"], spread: Spread = Spread()
+) -> Float[np.ndarray, "*poses"] | np.floating:
     """Mean |error| (...,) [m] of a position whose errors are Gaussian with the bound's covariance.
 
     The metric MPE is a mean of distances; it compares with this rather than with the root mean square.
     """
-    factor = np.linalg.cholesky(error_covariance(information, prior)[..., :3, :3])
+    factor = np.linalg.cholesky(error_covariance(information, spread)[..., :3, :3])
     draws = np.random.default_rng(0).normal(size=(3, 4096))
     return np.linalg.norm(factor @ draws, axis=-2).mean(axis=-1)
 
 
-def tilt_bound(information: np.ndarray, normal: np.ndarray, prior: Prior = Prior()) -> np.ndarray:
+def tilt_bound(
+    information: Float[Array, "*poses 10 10"], normal: Float[Array, "*poses 3"], spread: Spread = Spread()
+) -> Float[np.ndarray, "*poses"] | np.floating:
     """Bound on the root-mean-square error of the direction of ``normal`` (..., 3), [rad]."""
-    turns = error_covariance(information, prior)[..., 3:6, 3:6]
+    turns = error_covariance(information, spread)[..., 3:6, 3:6]
     # A turn w moves the normal by w x n: what is along n does not count.
     along = np.einsum("...a,...ab,...b->...", normal, turns, normal)
     return np.sqrt(np.trace(turns, axis1=-2, axis2=-1) - along)
 
 
-def without_gain(information: np.ndarray) -> np.ndarray:
+def without_gain(information: Float[Array, "*poses 10 10"]) -> Float[np.ndarray, "*poses 8 8"]:
     """What is left of the information (..., 8, 8), float64, when the complex gain is unknown: its Schur complement.
 
     Echoes that do not share a gain (several stations) add these.
@@ -155,13 +189,13 @@ def without_gain(information: np.ndarray) -> np.ndarray:
 def unknown_gain_position_bound(
     body: Body,
     array: PlanarArray | AntennaArray,
-    rotation: jax.Array,
-    position: jax.Array,
-    permittivity: jax.Array,
-    conductivity: jax.Array,
-    snr: jax.Array,
-    prior: Prior = Prior(),
-) -> jax.Array:
+    rotation: Float[Array, "3 3"],
+    position: Float[Array, "3"],
+    permittivity: ArrayLike,
+    conductivity: ArrayLike,
+    snr: ArrayLike,
+    spread: Spread = Spread(),
+) -> Float[jax.Array, ""]:
     """:func:`position_bound` of one pose for an unknown gain, as a JAX function: what a design descends.
 
     Arguments as in :func:`fisher_information`, without a batch; differentiable in all of them and in an
@@ -169,9 +203,13 @@ def unknown_gain_position_bound(
 
     Returns:
         Root-mean-square position error [m], float32.
+
+    Raises:
+        ValueError: as :func:`fisher_information`.
     """
+    _check(body, array, None, rotation, position, permittivity, conductivity, snr)
     value, slopes = _slopes(body, array, None, rotation, position, permittivity, conductivity)
-    scaled = slopes[..., :8] * jnp.asarray(prior.deviations()[:8], jnp.float32)
+    scaled = slopes[..., :8] * jnp.asarray(spread.deviations()[:8], jnp.float32)
     # An unknown gain explains whatever in a slope is parallel to H.
     energy = jnp.sum(jnp.abs(value) ** 2)
     parallel = jnp.einsum("fmn,fmnp->p", value.conj(), scaled) / energy
@@ -179,7 +217,7 @@ def unknown_gain_position_bound(
     gram = jnp.real(jnp.einsum("fmnp,fmnq->pq", scaled, scaled.conj()))
     information = 2.0 * snr * value.size / energy * gram
     covariance = jnp.linalg.inv(information + jnp.eye(8, dtype=information.dtype))
-    return prior.position_m * jnp.sqrt(jnp.trace(covariance[:3, :3]))
+    return spread.position_m * jnp.sqrt(jnp.trace(covariance[:3, :3]))
 
 
 def _toward(array, place):
@@ -194,20 +232,15 @@ def _slopes(body, array, receiver, rotation, position, permittivity, conductivit
 
     The common phase of the two ways there and back is taken out of the derivatives in position.
     """
-    tones = jnp.asarray(body.frequencies_hz, jnp.float32)
     middle = float(np.mean([wavenumber(tone) for tone in body.frequencies_hz]))
     ends = (array, receiver if receiver is not None else array)
     outward = sum(_toward(end, jax.lax.stop_gradient(position)) for end in ends)
 
     def channel(theta):
-        w = theta[3:6]
-        cross = jnp.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])
-        chi = contrast(permittivity + theta[6], conductivity + theta[7], tones).astype(jnp.complex64)
-        h = body_channel(body, array, rotation + cross @ rotation, position + theta[:3],
-                         chi[0] if body.single else chi, receiver=receiver)
-        h = h.reshape(len(body.frequencies_hz), ends[1].count, array.count)
+        h = parameter_channel(body, array, Parameters.split(theta), rotation, position, permittivity, conductivity,
+                              receiver)
         farther = theta[:3] @ outward  # of both ways, to first order, all that a derivative sees
-        return h * jnp.exp(theta[8] + 1j * (theta[9] - middle * farther))
+        return h * jnp.exp(-1j * middle * farther)
 
     start = jnp.zeros(len(PARAMETERS), jnp.float32)
     value, slopes = channel(start), jax.jacfwd(channel)(start)

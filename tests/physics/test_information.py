@@ -10,7 +10,7 @@ from august_jax.physics import (
     AntennaArray, PlanarArray, body_channel, contrast, factor_body, fisher_information, mean_position_error,
     position_bound, sensing_channel, tilt_bound, unknown_gain_position_bound, without_gain,
 )
-from august_jax.physics.information import KNOWN_GAIN, Prior, error_covariance
+from august_jax.physics.information import KNOWN_GAIN, Spread, error_covariance
 
 ARRAY = PlanarArray(8, 4, 3e9)
 CELLS = cross(arm=9)
@@ -60,7 +60,7 @@ def test_the_bound_to_descend_is_the_bound(information):
 
 def test_what_is_left_without_the_gain_is_what_a_wide_prior_leaves(information):
     left = without_gain(information)
-    narrow = Prior().deviations()[:8]
+    narrow = Spread().deviations()[:8]
     expected = np.linalg.inv(left + np.diag(narrow**-2.0))
     np.testing.assert_allclose(error_covariance(information)[:8, :8], expected, rtol=2e-2,
                                atol=2e-3 * np.outer(narrow, narrow).min())
@@ -71,7 +71,7 @@ def test_two_receivers_know_more_than_one():
     aside = AntennaArray(ARRAY.positions + [2.5, 0.0, 0.0], ARRAY.moments, 3e9)
     alone = without_gain(fisher_information(body, ARRAY, np.eye(3), PLACE, 3.0, 5e-3, 10.0))
     both = alone + without_gain(fisher_information(body, ARRAY, np.eye(3), PLACE, 3.0, 5e-3, 10.0, receiver=aside))
-    prior = np.diag(Prior().deviations()[:8] ** -2.0)
+    prior = np.diag(Spread().deviations()[:8] ** -2.0)
     errors = [np.sqrt(np.trace(np.linalg.inv(known + prior)[:3, :3])) for known in (alone, both)]
     assert errors[1] < 0.5 * errors[0]  # two bearings make a range
 
@@ -83,7 +83,7 @@ def test_the_posterior_by_dense_sampling_is_as_wide_as_the_bound():
     """
     body = factor_body(CELLS, 3e9)
     noise_count, snr, prior_m = ARRAY.count**2, 1000.0, 0.02
-    known = Prior(position_m=prior_m, turn_rad=1e-6, permittivity=1e-6, conductivity=1e-9)
+    known = Spread(position_m=prior_m, turn_rad=1e-6, permittivity=1e-6, conductivity=1e-9)
     information_ = fisher_information(body, ARRAY, np.eye(3), PLACE, 3.0, 5e-3, snr)
     covariance = error_covariance(information_, known)[:3, :3]
     # A grid along the bound's own axes, six standard deviations to both sides.

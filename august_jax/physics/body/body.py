@@ -14,17 +14,31 @@ three times faster than complex ones), and the antennas that were left out
 
 from __future__ import annotations
 
+import math
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Complex, Float, Int
 
+from august_jax.arrays import Array, ArrayLike
 from august_jax.physics.array import AntennaArray, PlanarArray, wavenumber
 from august_jax.physics.body.aperture import Aperture, aperture_skeleton
-from august_jax.physics.checks import is_concrete
+from august_jax.physics.checks import (
+    check_band, check_contrast, check_ends, check_finite, check_nearest, check_rotation, coarseness,
+    is_concrete, settled, warn_of_coarse_cells,
+)
 from august_jax.physics.green import dipole_fields_about, path_difference
+
+
+CHECKS = (3.5 + 0.05j, 0.2, 7.0, 9.0, 14.0, 24.0, 40.0, 4.0 + 4.0j, 2.0 + 12.0j, 14.0 + 12.0j, 2.0 + 40.0j)
+"""Contrasts at which a body's error is measured, between its nodes first; at 3 GHz 12j is a conductivity of 2 S/m."""
+_FARTHEST = 40.0
+_WITHIN = 5.0  # the last of the nodes: up to here the error is that between them
+_WARN = 3e-3  # a tenth of what the lattice itself errs by
 
 
 @jax.tree_util.register_dataclass
@@ -42,28 +56,48 @@ class Body:
         single: True where the body was made for one plain frequency, so that channels carry no tone axis.
         radius_m: largest distance of the material's places in the cells from the body's origin [m].
         nearest_m: sources must be at least this far from the body's origin [m].
-        error: relative error of the reduced response at a contrast between the nodes, 3.5 + 0.05j, as measured when it
-            was made.
+        errors: relative error of the reduced response at each of ``CHECKS``, as measured when it was made.
         cells: number of cells N.
+        edge_m, fill: edge [m] and fill of the cell that is the coarsest at ``ASSUMED_CONTRAST``.
     """
 
-    weights: jax.Array
-    eigenvalues: jax.Array
-    points: jax.Array
-    rows: jax.Array
+    weights: Float[Array, "f 3 n m"]
+    eigenvalues: Complex[Array, "f n"]
+    points: Float[Array, "f p 3"]
+    rows: Int[Array, "f m"]
     frequencies_hz: tuple[float, ...] = field(metadata={"static": True})
     single: bool = field(metadata={"static": True})
     radius_m: float = field(metadata={"static": True})
     nearest_m: float = field(metadata={"static": True})
-    error: float = field(metadata={"static": True})
+    errors: tuple[float, ...] = field(metadata={"static": True})
     cells: int = field(metadata={"static": True})
+    edge_m: float = field(metadata={"static": True})
+    fill: float = field(metadata={"static": True})
+
+    @property
+    def error(self) -> float:
+        """Relative error of the reduced response between the nodes, at a contrast of 3.5 + 0.05j."""
+        return self.errors[0]
+
+    def error_at(self, contrast: complex) -> float:
+        """Relative error of the reduced response at a contrast, interpolated between ``CHECKS``; NaN far from them.
+
+        In log error over the logarithm of the contrast, weighted by the inverse fourth power of the distance: good to
+        a factor of two or three.
+        """
+        contrast = complex(contrast)
+        if not 0.0 < abs(contrast) < 2.0 * _FARTHEST or contrast.real < -0.1 * abs(contrast):
+            return math.nan
+        place = np.log(contrast)
+        weight = 1.0 / (np.abs(np.log(np.asarray(CHECKS)) - place) + 1e-3) ** 4
+        return float(np.exp(weight @ np.log(np.maximum(self.errors, 1e-9)) / weight.sum()))
 
 
 def alike(bodies: Sequence[Body]) -> list[Body]:
     """The same bodies padded to one shape, so that what is compiled for one serves all.
 
-    Modes that are added have no weight. ``radius_m``, ``nearest_m`` and ``error`` become the worst of all, ``cells``
-    the largest; ``nearest_m`` bounds every body's use from then on.
+    Modes that are added have no weight. ``radius_m``, ``nearest_m``, ``errors`` and the coarsest cell become the worst
+    of all, ``cells`` the largest; ``nearest_m`` bounds every body's use from then on.
 
     Raises:
         ValueError: the bodies were made for different tones.
@@ -72,8 +106,12 @@ def alike(bodies: Sequence[Body]) -> list[Body]:
         raise ValueError("bodies: they were factored for different frequencies; factor all for the same tones")
     leaves = [[np.asarray(leaf) for leaf in jax.tree.leaves(body)] for body in bodies]
     shapes = [np.max([leaf.shape for leaf in each], axis=0) for each in zip(*leaves)]
-    worst = {name: max(getattr(body, name) for body in bodies) if bodies else 0
-             for name in ("radius_m", "nearest_m", "error", "cells")}
+    if not bodies:
+        return []
+    coarsest = max(bodies, key=lambda body: coarseness(body.edge_m, body.fill))
+    worst = {name: max(getattr(body, name) for body in bodies) for name in ("radius_m", "nearest_m", "cells")}
+    worst |= {"errors": tuple(max(each) for each in zip(*(body.errors for body in bodies), strict=True)),
+              "edge_m": coarsest.edge_m, "fill": coarsest.fill}
     return [
         replace(body, **worst, **{
             name: jnp.asarray(np.pad(leaf, [(0, n - m) for m, n in zip(leaf.shape, shape)]))
@@ -85,12 +123,12 @@ def alike(bodies: Sequence[Body]) -> list[Body]:
 def body_channel(
     body: Body,
     array: PlanarArray | AntennaArray,
-    rotation: jax.Array,
-    translation: jax.Array,
-    contrast: jax.Array,
+    rotation: Float[ArrayLike, "3 3"],
+    translation: Float[ArrayLike, "3"],
+    contrast: ArrayLike | Sequence,
     *,
     receiver: PlanarArray | AntennaArray | None = None,
-) -> jax.Array:
+) -> Complex[jax.Array, "*tones receive transmit"]:
     """Sensing channel of a factored body in a pose: equal to the coupled solve of the moved cells.
 
     Args:
@@ -99,7 +137,7 @@ def body_channel(
         rotation: body axes to world axes (3, 3).
         translation: origin of the body's frame in the world (3,) [m].
         contrast: chi, scalar; with several tones also (F,).
-        receiver: the antennas that receive, where they are not those that transmit.
+        receiver: the antennas that receive, where they are not those that transmit; of the same carrier.
 
     Returns:
         H [1/m] (N_b, N_b), or (F, N_b, N_b) for a body of several tones; complex64, symmetric without ``receiver``;
@@ -108,23 +146,46 @@ def body_channel(
         elements are computed, and determine the others.
 
     Raises:
-        ValueError: mismatched shapes, or a body nearer than ``body.nearest_m`` to an antenna.
+        ValueError: mismatched shapes, numbers that are not finite, a matrix that is no rotation, a body nearer than
+            ``body.nearest_m`` to an antenna, ends of different carriers, or an array whose carrier lies outside the
+            band of the body's tones by more than a tenth.
+
+    Warns where the body's cells are too coarse for the contrast, where the contrast lies so far outside the nodes of
+    the reduction that its error shows (with the figure), and of a contrast that is zero.
     """
     for name, value, shape in (("rotation", rotation, (3, 3)), ("translation", translation, (3,))):
         if np.shape(value) != shape:
             raise ValueError(f"{name}: got shape {np.shape(value)}; give {shape}, and vmap for batches")
-    tones = len(body.frequencies_hz)
-    if np.shape(contrast) not in ((), (tones,)):
-        raise ValueError(f"contrast: got shape {np.shape(contrast)}; give a scalar or ({tones},), one value a tone")
+    check_rotation(rotation)
+    check_finite("translation", translation, "give the place of the body's origin (3,) in m")
+    check_ends(array, receiver)
+    check_band(array, body.frequencies_hz)
     for end in (array, receiver):
         if end is not None and is_concrete((translation, end)):
-            gap = float(np.linalg.norm(np.asarray(translation) - np.asarray(end.positions), axis=1).min())
-            if not gap >= body.nearest_m * (1.0 - 1e-6):
-                raise ValueError(
-                    f"translation: the body is {gap:.3g} m from an antenna, but was factored for {body.nearest_m:g} m "
-                    "and beyond; pass a smaller nearest_m to factor_body"
-                )
-    return _body_channel(body, array, receiver, *(jnp.asarray(part) for part in (rotation, translation, contrast)))
+            check_nearest(body.nearest_m, end, translation, "translation")
+    tones = len(body.frequencies_hz)
+    check_contrast(contrast, ((), (tones,)), f"a scalar or ({tones},), one value a tone")
+    if is_concrete(contrast):
+        _judge_contrast(body, contrast)
+    return _body_channel(body, array, receiver, *(
+        jnp.asarray(settled(name, part)) for name, part in (
+            ("rotation", rotation), ("translation", translation), ("contrast", contrast))))
+
+
+def _judge_contrast(body: Body, contrast) -> None:
+    """Warn of cells, and of a reduction, that the contrast asks too much of."""
+    values = [complex(value) for value in np.ravel(contrast)]
+    for tone, frequency in enumerate(body.frequencies_hz):
+        warn_of_coarse_cells(body.edge_m, body.fill, values[tone % len(values)], wavenumber(frequency))
+    for value in values:
+        if abs(value) > _WITHIN or value.real < 0.0 or body.error > _WARN:
+            error = body.error_at(value)
+            if not error < _WARN:
+                figure = f"about {error:.1g}" if error == error else "not known, and large"
+                warnings.warn(
+                    f"contrast: at {value:.3g} the error of the factored body is {figure} ({body.error:.1g} at 3.5); "
+                    "take sensing_channel, which solves the whole system", stacklevel=3)
+                return
 
 
 @jax.jit

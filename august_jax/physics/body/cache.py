@@ -13,7 +13,7 @@ import numpy as np
 from august_jax.files import DamagedFile, read_npz, replacing
 
 Factors = dict[str, np.ndarray]
-_FORMAT = "body-6"
+_FORMAT = "body-7"
 
 
 def cache_folder() -> Path:

@@ -30,23 +30,27 @@ import jax.numpy as jnp
 import numpy as np
 
 from august_jax.physics.array import wavenumber
-from august_jax.physics.body.body import Body
+from august_jax.physics.body.body import CHECKS, Body
 from august_jax.physics.body.cache import Factors, cached
 from august_jax.physics.body.spans import pivots, spanned
 from august_jax.physics.cells import Cells
-from august_jax.physics.checks import check_cells
+from august_jax.physics.checks import (
+    check_cells, check_frequency, coarseness, edges_and_fills, is_concrete, warn_of_coarse_cells,
+)
 from august_jax.physics.green import dyadic_green, radial_factors
 from august_jax.physics.mom import own_blocks
 
 NODES = (0.5, 2.0, 5.0)
-"""Contrasts whose solutions span Q: permittivities from 1 to 7, little loss. Farther out the error grows: 3e-4 at
-permittivity 15, 2e-3 at 3 and 4e-3 at 15 with a conductivity of 2 S/m (3 GHz)."""
+"""Contrasts whose solutions span Q: permittivities from 1 to 7, little loss. Farther out the error grows; what it is
+there is measured (:attr:`Body.errors`)."""
 
-_CHECK = 3.5 + 0.05j
+_CHECK = CHECKS[0]
+_BEYOND = (12.0, 40.0)  # contrasts of the solutions that the error beyond the nodes is measured by
+_PROBES = 8  # fields that it is measured with
 _ERROR = 3e-5  # relative error of H at _CHECK that is good enough; a weak echo has several times as much
 _SPAN_TOLERANCE = 5e-7  # smallest singular value kept of the incident fields, relative to the largest
 _BASIS_TOLERANCES = (7e-3, 3e-3, 1e-3)  # the same of the polarisations, tried in turn: H errs by about their square
-_FACTORS = ("weights", "eigenvalues", "points", "rows", "error")
+_FACTORS = ("weights", "eigenvalues", "points", "rows", "errors")
 
 
 def factor_body(
@@ -65,7 +69,9 @@ def factor_body(
         A :class:`Body`. Half a minute on one core for 1000 cells, two to three minutes on two cores for 3700.
 
     Raises:
-        ValueError: malformed cells, a frequency that is not positive, or ``nearest_m`` inside the body.
+        ValueError: malformed cells, frequencies that are none or not positive, or ``nearest_m`` inside the body.
+
+    Warns where the cells are too coarse for a material of permittivity 3; :func:`body_channel` judges the one it gets.
     """
     return factor_bodies([cells], frequency_hz, nearest_m=nearest_m, cache=cache)[0]
 
@@ -78,15 +84,21 @@ def factor_bodies(
     Much of the work does not profit from a second core. A body takes 1 GB of memory for 1000 cells, 3 GB for 3700.
     """
     single = np.ndim(frequency_hz) == 0
-    tones = tuple(float(tone) for tone in np.atleast_1d(frequency_hz))
-    if not all(0.0 < tone < np.inf for tone in tones):
-        raise ValueError(f"frequency_hz: got {frequency_hz!r}; give positive frequencies in Hz, e.g. 3e9")
-    plain, radii = [], []
+    tones = tuple(check_frequency("frequency_hz", tone) for tone in np.atleast_1d(np.asarray(frequency_hz, object)))
+    if not tones:
+        raise ValueError("frequency_hz: got no tones; give at least one frequency in Hz, e.g. 3e9")
+    plain, radii, coarsest = [], [], []
     for cells in bodies:
-        check_cells(cells)
+        if not is_concrete(cells):
+            raise ValueError("cells: are traced; factor the body outside jit, grad and vmap, and pass it in")
+        cells = check_cells(cells)
         plain.append(Cells(*(None if part is None else np.asarray(part, np.float64) for part in cells)))
+        edges, fills = edges_and_fills(plain[-1])
+        warn_of_coarse_cells(edges, fills, None, wavenumber(max(tones)))
+        worst = int(np.argmax(coarseness(edges, fills)))
+        coarsest.append((float(edges[worst]), float(fills[worst])))
         radii.append(float(np.linalg.norm(plain[-1].sites(), axis=1).max()))
-        if nearest_m <= 1.2 * radii[-1]:
+        if not 1.2 * radii[-1] < nearest_m < np.inf:
             raise ValueError(
                 f"nearest_m: {nearest_m:g} m is no farther than the body's own radius, {radii[-1]:.3g} m, and a margin "
                 "of 20 %"
@@ -104,12 +116,12 @@ def factor_bodies(
         factors = [_cached(*job, float(nearest_m), cache) for job in jobs]
     count = len(tones)
     return [
-        _joined(factors[row * count : (row + 1) * count], tones, single, radius, float(nearest_m), cells.count)
-        for row, (cells, radius) in enumerate(zip(plain, radii, strict=True))
+        _joined(factors[row * count : (row + 1) * count], tones, single, radius, float(nearest_m), cells.count, *cell)
+        for row, (cells, radius, cell) in enumerate(zip(plain, radii, coarsest, strict=True))
     ]
 
 
-def _joined(factors, tones, single, radius, nearest_m, count) -> Body:
+def _joined(factors, tones, single, radius, nearest_m, count, edge_m, fill) -> Body:
     """One body of its tones' factors, padded to a common size."""
     sizes = (("weights", 1), ("rows", 0), ("points", 0))
     modes, columns, points = (max(factor[name].shape[axis] for factor in factors) for name, axis in sizes)
@@ -128,14 +140,16 @@ def _joined(factors, tones, single, radius, nearest_m, count) -> Body:
         single=single,
         radius_m=radius,
         nearest_m=nearest_m,
-        error=max(float(factor["error"]) for factor in factors),
+        errors=tuple(np.max([factor["errors"] for factor in factors], axis=0).tolist()),
         cells=count,
+        edge_m=edge_m,
+        fill=fill,
     )
 
 
 def _cached(cells: Cells, frequency_hz: float, nearest_m: float, cache: bool) -> Factors:
     """One tone's factors, from the disk where they are there."""
-    settings = (frequency_hz, nearest_m, _SPAN_TOLERANCE, *_BASIS_TOLERANCES, _ERROR, *NODES)
+    settings = (frequency_hz, nearest_m, _SPAN_TOLERANCE, *_BASIS_TOLERANCES, _ERROR, *NODES, *_BEYOND, *CHECKS)
 
     def make():
         return _factor(cells, frequency_hz, nearest_m)
@@ -173,11 +187,17 @@ def _factor(cells: Cells, frequency_hz: float, nearest_m: float) -> Factors:
         error = np.linalg.norm(fast - exact) / np.linalg.norm(exact)
         if error < _ERROR:
             break
-    del parts, solutions, solve
+    del solutions, solve
+    few = probe[:, :_PROBES]
+    space, across, corner = _beyond(parts, basis, few)
+    beside = basis.T @ few, space.T @ few
+    del parts, space
     # LAPACK's eigensolver works in small steps: threads that wait for each other make it up to ten times slower.
     with threadpool_limits(1):
         eigenvalues, vectors = scipy.linalg.eig(reduced, overwrite_a=True, check_finite=False)
     vectors = _symmetric_orthonormal(vectors, eigenvalues)
+    errors = _errors_beyond(eigenvalues, vectors.T @ seen[:, :_PROBES], vectors.T @ beside[0], beside[1],
+                            vectors.T @ across, corner)
     incident = (basis.T @ span) @ inverse * weight[rows]
     real, imag = vectors.real.T @ incident, vectors.imag.T @ incident
     points, place = np.unique(rows // 3, return_inverse=True)
@@ -186,7 +206,7 @@ def _factor(cells: Cells, frequency_hz: float, nearest_m: float) -> Factors:
         "eigenvalues": eigenvalues.astype(np.complex64),
         "points": cells.sites()[points].astype(np.float32),
         "rows": (3 * place + rows % 3).astype(np.int32),
-        "error": np.asarray(error),
+        "errors": np.array([error, *errors]),
     }
 
 
@@ -265,6 +285,49 @@ def _response(parts, fields, solution, solve):
     seen = space.T @ missed
     correction = seen.T @ np.linalg.solve(np.eye(space.shape[1]) / _CHECK - _projected(parts, space), seen)
     return fields.T @ solution + solution.T @ missed + correction
+
+
+def _beyond(parts, basis, fields):
+    """Polarisations Z (3N, m) beside Q that some fields excite at ``_BEYOND``, with Q^T K' Z (n, m) and Z^T K' Z."""
+    driven, found = np.concatenate([fields.real, fields.imag], axis=1), []
+    for chi in _BEYOND:
+        solve = _real_solver(parts, chi)
+        found.append(solve(driven))
+        for _ in range(2):  # what they radiate drives others
+            found.append(solve(parts[1] @ found[-1]))
+    space = np.concatenate(found, axis=1)
+    space /= np.linalg.norm(space, axis=0)
+    for _ in range(2):
+        space -= basis @ (basis.T @ space)
+    space = spanned(space.astype(np.float64), 1e-5)[0].astype(np.float32)
+    space -= basis @ (basis.T @ space)
+    image = _times(parts, space)
+    corner = (space.T @ image).astype(np.complex128)
+    return space, basis.T @ image, 0.5 * (corner + corner.T)
+
+
+def _errors_beyond(eigenvalues, seen, fields, others, across, corner):
+    """Relative errors of the reduced response to some fields at ``CHECKS`` but the first.
+
+    The reference is the response in the larger space of Q and Z: between and about the contrasts that Z was made at it
+    errs by the square of what it misses.
+
+    Args:
+        eigenvalues: lambda of Q^T K' Q = Y diag(lambda) Y^T (n,).
+        seen: the fields as the reduction sees them (n, P), by Y; ``fields`` (n, P) and ``others`` (m, P) as they are,
+            by Y and by Z.
+        across: Y^T Q^T K' Z (n, m).
+        corner: Z^T K' Z (m, m).
+    """
+    errors = []
+    for chi in CHECKS[1:]:
+        answer = 1.0 / (1.0 / chi - eigenvalues)[:, None]
+        fast = seen.T @ (answer * seen)
+        rest = others + across.T @ (answer * fields)
+        schur = np.eye(len(corner)) / chi - corner - across.T @ (answer * across)
+        exact = fields.T @ (answer * fields) + rest.T @ np.linalg.solve(schur, rest)
+        errors.append(np.linalg.norm(fast - exact) / np.linalg.norm(exact))
+    return errors
 
 
 def _random_fields(points, k, nearest_m, count, random):
