@@ -55,7 +55,7 @@ def compute(small: bool, report=print) -> dict[str, np.ndarray]:
 
     truth = channel(jnp.zeros(6))
     seen = observe(jax.random.key(0), truth[None], place0, array=config.array, signal=config.signal,
-                   region=config.region, snr_db=SNR_DB).channel[0]
+                   region=config.region, snr_db=SNR_DB).estimated_channel[0]
     seen = seen / jnp.linalg.norm(truth)
 
     def misfit(theta, known):

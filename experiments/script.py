@@ -3,33 +3,36 @@
 from __future__ import annotations
 
 import argparse
-import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
-from august_jax.files import replacing
+from august_jax.files import DamagedFile, read_npz, replacing
 
 Numbers = dict[str, np.ndarray]
 
 
 def run(
-    about: str | None, name: str, compute: Callable[[bool], Numbers], draw: Callable[[Numbers, Path], None]
+    description: str | None, name: str, compute: Callable[[bool], Numbers], draw: Callable[[Numbers, Path], None]
 ) -> None:
     """Parse the command line of the experiment ``name`` and do what it says.
 
     Args:
-        about: the script's docstring, shown as its help.
+        description: the script's docstring, shown as its help.
         name: file name without ending; numbers go to results/name.npz, the picture to results/name.png.
         compute: from --small to named arrays.
         draw: from the arrays and the picture's path to a file.
     """
-    parser = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("action", choices=("compute", "draw"))
     parser.add_argument("--small", action="store_true", help="coarser and fewer: under two minutes on two cores")
-    parser.add_argument("--results", type=Path, default=Path(__file__).parent / "results" / f"{name}.npz",
-                        help="the .npz that is written or read (%(default)s)")
+    parser.add_argument(
+        "--results",
+        type=Path,
+        default=Path(__file__).parent / "results" / f"{name}.npz",
+        help="the .npz that is written or read (%(default)s)",
+    )
     arguments = parser.parse_args()
     arguments.results = arguments.results.with_suffix(".npz")
     if arguments.action == "compute":
@@ -39,13 +42,15 @@ def run(
             np.savez(aside, **numbers)
         print(f"wrote {arguments.results}\nnext:  python experiments/{name}.py draw --results {arguments.results}")
         return
-    if not arguments.results.exists():
+    try:
+        numbers = read_npz(arguments.results)
+    except FileNotFoundError:
         parser.error(f"--results: {arguments.results} does not exist; run `experiments/{name}.py compute` first")
+    except DamagedFile as error:
+        parser.error(f"--results: {error}; compute it again")
     picture = arguments.results.with_suffix(".png")
     try:
-        with arguments.results.open("rb") as file, np.load(file) as stored:
-            numbers = dict(stored)
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        parser.error(f"--results: {arguments.results} cannot be read ({type(error).__name__}); compute it again")
-    draw(numbers, picture)
+        draw(numbers, picture)
+    except KeyError as missing:
+        parser.error(f"--results: {arguments.results} has no {missing}: not what {name} computes now; compute it again")
     print(f"wrote {picture}")

@@ -1,0 +1,69 @@
+"""Benchmarks: a folder that is not there is told at once, and the smallest parts give figures with small errors."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+import scripts
+
+BENCHMARKS = scripts.defining("benchmarks", "main")
+SMALL = ("--cells", "150", "--distance", "5", "--batch", "4", "--repeats", "1")
+MACHINE = {"processor", "cores", "device", "jax", "python", "gflop_s"}
+
+
+def figures(name, *arguments, folder, monkeypatch):
+    """What a benchmark writes."""
+    scripts.run("benchmarks", name, *arguments, "--json", str(folder / "figures.json"), monkeypatch=monkeypatch)
+    written = json.loads((folder / "figures.json").read_text())
+    assert set(written["machine"]) == MACHINE and written["machine"]["gflop_s"] > 0.0
+    return written
+
+
+@pytest.mark.parametrize("name", BENCHMARKS)
+def test_a_folder_that_is_not_there_is_told_before_anything_is_measured(name, tmp_path, monkeypatch, capsys):
+    with pytest.raises(SystemExit) as ended:
+        scripts.run("benchmarks", name, "--json", str(tmp_path / "none" / "x.json"), monkeypatch=monkeypatch)
+    told = capsys.readouterr()
+    assert ended.value.code == 2 and f"--json: {tmp_path / 'none'} is no folder" in told.err and not told.out
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:cells.volumes")  # cells as large as these are for tests alone
+def test_rigid_and_moving_agree_with_the_system_solved_in_double_precision(tmp_path, monkeypatch):
+    parts = ("--parts", "rigid", "moving")
+    written = figures("simulator", *parts, *SMALL, folder=tmp_path, monkeypatch=monkeypatch)
+    [rigid], [moving] = written["rigid"], written["moving"]
+    assert {"cells", "distance_m", "batch", "modes", "factoring_or_cache_s", "factored_gflop_s"} <= set(rigid)
+    assert rigid["cells"] == moving["cells"] <= 150
+    for other in ("dense", "scipy"):
+        assert rigid[f"{other}_over_factored"] == pytest.approx(rigid[f"{other}_s"] / rigid["factored_s"])
+    # single precision: 1e-5 for the factored body, 1e-4 where positions of 5 m lose digits in phases
+    assert rigid["factored_error"] < 1e-4 and rigid["dense_error"] < 2e-4
+    for solver in ("krylov", "mom"):
+        assert moving[f"{solver}_error"] < 1e-4 and moving[f"{solver}_gradient_error"] < 1e-3
+        ratio = moving[f"{solver}_gradient_s"] / moving[f"{solver}_value_s"]
+        assert moving[f"{solver}_gradient_over_value"] == pytest.approx(ratio)
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:cells.volumes")
+def test_scaling_and_set_time_every_size(tmp_path, monkeypatch):
+    parts = ("--parts", "scaling", "set", "--sweep", "60", "120", "--preset", "smoke", "--count", "40")
+    written = figures("simulator", *parts, *SMALL, folder=tmp_path, monkeypatch=monkeypatch)
+    swept = {
+        name: [row["size"] for row in written["scaling"] if row["sweep"] == name] for name in ("antennas", "batch")
+    }
+    assert swept == {"antennas": [16, 32, 64, 128, 256], "batch": [1, 4, 16, 64, 256]}
+    assert sum(row["sweep"] == "cells" for row in written["scaling"]) == 2
+    assert all(row["factored_s"] > 0.0 for row in written["scaling"])
+    [row] = written["set"]
+    assert row["count"] == 40 and len(row["cells"]) == 2 and row["channels_s"] > 0.0
+
+
+@pytest.mark.slow
+def test_end_to_end_times_imports_and_samples(tmp_path, monkeypatch):
+    arguments = ("--preset", "smoke", "--count", "32", "--repeats", "1")
+    written = figures("end_to_end", *arguments, folder=tmp_path, monkeypatch=monkeypatch)
+    assert 0.0 < written["import jax"] and 0.0 < written["import august_jax"] and 0.0 < written["august --help"]
+    assert written["simulate"]["written"] == 32 and written["simulate"]["samples_per_s"] > 0.0

@@ -1,0 +1,147 @@
+"""Each study can be computed small and drawn, its numbers obey a law of its own, and damaged ones are refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scripts
+from matplotlib.image import imread
+
+STORED = scripts.ROOT / "experiments" / "results"
+STUDIES = scripts.defining("experiments", "compute", "draw")
+
+
+def cell_size(numbers):
+    """Finer lattices come nearer to the finest, and one complex factor can only bring a channel nearer."""
+    plain, shaped = numbers["difference"], numbers["but_for_a_gain"]
+    sizes, permittivities = numbers["sizes_mm"], numbers["permittivities"]
+    assert plain.shape == shaped.shape == (2, len(sizes), len(permittivities))
+    assert np.all(np.diff(numbers["cells"]) > 0) and np.all(np.diff(sizes) < 0)
+    assert np.all(shaped <= plain + 1e-6)
+    assert np.all(np.diff(plain[0], axis=0) < 0.0) and np.all(plain[0, -1] == 0.0)  # fields at the material's centroids
+    assert (
+        np.ptp(numbers["material_m3"]) < 0.03 * numbers["material_m3"].mean()
+    )  # the skin's own volume on every lattice
+
+
+def array_design(numbers):
+    """The descent ends below where it began and below what it began from; a channel is most like itself."""
+    names, bounds, likeness = list(numbers["names"]), numbers["bounds_m"], numbers["likeness"]
+    here = len(numbers["shifts_m"]) // 2
+    assert numbers["places_m"].shape == (len(names), 16, 2) and likeness.shape == (len(names), 2, 2 * here + 1)
+    assert numbers["course_m"][-1] < 0.8 * numbers["course_m"][0]
+    assert np.all(bounds > 0.0) and names[np.argmin(bounds)] == "descended"
+    assert np.abs(numbers["places_m"]).max() <= 0.4 + 1e-6  # the aperture
+    assert np.all((likeness >= 0.0) & (likeness < 1.0 + 1e-5))  # Cauchy and Schwarz
+    assert np.allclose(likeness[..., here], 1.0, atol=1e-5)
+
+
+def what_physics_allows(numbers):
+    """Bounds fall with the SNR and with antennas, rise with range, and never exceed what is known beforehand."""
+    from august_jax.physics.information import Spread
+
+    cases, position, tilt = list(numbers["cases"]), numbers["position_m"], numbers["tilt_deg"]
+    assert position.shape == tilt.shape == (len(cases), len(numbers["ranges_m"]), len(numbers["snrs_db"]))
+    for bound in (position, tilt):
+        assert np.all(bound > 0.0) and np.all(np.diff(bound, axis=-1) <= 1e-6 * bound[..., 1:])
+    assert position.max() <= np.sqrt(3.0) * Spread().position_m
+    assert tilt.max() <= np.sqrt(2.0) * np.rad2deg(Spread().turn_rad)
+    at20 = position[:, :, int(np.argmin(np.abs(numbers["snrs_db"] - 20.0)))]
+    assert np.all(np.diff(at20, axis=1) > 0.0)
+    larger = at20[[cases.index(f"{size}, 1 tone") for size in ("16x1", "16x2", "16x4", "16x16")]]
+    assert np.all(np.diff(larger, axis=0) < 0.0)
+
+
+def echo_over_the_box(numbers):
+    """Skins are thin against the wavelength: a field scattered by the volume, 20 dB a tenfold of material."""
+    snr, material = numbers["snr_db"], numbers["material_m3"]
+    assert snr.shape[:2] == material.shape == (len(numbers["skins_m"]), len(numbers["airframes"]))
+    stronger = np.median(snr[1] - snr[0], axis=-1)
+    # 1.5 dB: cells that couple turn the pattern; over 200 flights of five craft the median stays within 0.2 dB
+    assert np.allclose(stronger, 20.0 * np.log10(material[1] / material[0]), atol=1.5)
+
+
+def pose_by_gradients(numbers):
+    """A known gain's valleys repeat every half wavelength, 5 cm; a fitted gain leaves one, and never fits worse."""
+    known, fitted = numbers["valleys"]
+    offsets, ends = numbers["offsets_m"], np.linalg.norm(numbers["ends"][..., :3], axis=-1)
+
+    def floors(misfit):
+        return offsets[1:-1][(misfit[1:-1] < misfit[:-2]) & (misfit[1:-1] < misfit[2:])]
+
+    step = offsets[1] - offsets[0]
+    assert len(floors(known)) >= 5 and np.allclose(np.diff(floors(known)), 0.05, atol=1.01 * step)
+    assert len(floors(fitted)) == 1 and abs(floors(fitted)[0]) < 1.01 * step
+    assert np.all(fitted <= known + 1e-6)
+    assert np.all(np.diff(numbers["paths"], axis=-1) <= 1e-6)  # a step that fits worse is not taken
+    near = numbers["starts_m"] < 0.015
+    assert np.all(ends[:, near] < 3.0 * numbers["bound_m"])
+
+
+def parts_of_a_drone(numbers):
+    """Shares sum to one, and a part's removal changes H by no more than its cells' derivatives add up to."""
+    cells, part, parts = numbers["cells"], numbers["part"], numbers["parts"]
+    assert numbers["positions"].shape == (len(cells), 3) and part.shape == cells.shape
+    assert np.isclose(numbers["share"].sum(), 1.0) and np.all(numbers["share"] > 0.0)
+    assert np.all(cells > 0.0) and np.all(parts > 0.0)
+    contrast = 2.0  # permittivity 3; the triangle inequality, to first order in the contrast
+    assert np.all(parts < contrast * np.array([cells[part == index].sum() for index in range(len(parts))]))
+
+
+LAWS = {
+    "convergence": cell_size,
+    "design": array_design,
+    "limits": what_physics_allows,
+    "link_budget": echo_over_the_box,
+    "refine_pose": pose_by_gradients,
+    "sensitivity": parts_of_a_drone,
+}
+"""What the numbers of a study must show, whatever the lattice."""
+
+
+def test_every_study_has_a_law():
+    assert sorted(LAWS) == STUDIES
+
+
+@pytest.mark.parametrize("study", STUDIES)
+def test_results_that_cannot_be_drawn_are_refused_with_the_way_out(study, tmp_path, monkeypatch, capsys):
+    whole = (STORED / f"{study}.npz").read_bytes()
+    (tmp_path / "damaged.npz").write_bytes(whole[: len(whole) // 2])
+    np.savez(tmp_path / "of_another.npz", some=np.zeros(3))
+    for name in ("missing", "damaged", "of_another"):
+        path = tmp_path / f"{name}.npz"
+        with pytest.raises(SystemExit) as ended:
+            scripts.run("experiments", study, "draw", "--results", str(path), monkeypatch=monkeypatch)
+        told = capsys.readouterr().err.strip().splitlines()[-1]
+        assert ended.value.code == 2 and f"--results: {path}" in told and "compute" in told
+    assert not list(tmp_path.glob("*.png"))
+
+
+@pytest.mark.parametrize("study", STUDIES)
+def test_stored_results_obey_the_law_and_are_drawn(study, tmp_path, monkeypatch):
+    """What lies in experiments/results is what the scripts read now."""
+    results = tmp_path / f"{study}.npz"
+    results.write_bytes((STORED / results.name).read_bytes())
+    with np.load(results) as numbers:
+        LAWS[study](numbers)
+    scripts.run("experiments", study, "draw", "--results", str(results), monkeypatch=monkeypatch)
+    assert_ink(results.with_suffix(".png"))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("study", STUDIES)
+def test_a_study_computed_small_obeys_the_law_and_is_drawn(study, tmp_path, monkeypatch):
+    module = scripts.imported("experiments", study, monkeypatch)
+    numbers = module.compute(True)
+    for name, values in numbers.items():
+        assert np.all(np.isfinite(values)) if values.dtype.kind in "fc" else values.size, name
+    LAWS[study](numbers)
+    module.draw(numbers, tmp_path / "drawn.png")
+    assert_ink(tmp_path / "drawn.png")
+
+
+def assert_ink(png):
+    """A picture with something on it, and room about that."""
+    picture = imread(png)
+    inked = np.mean(np.any(picture[..., :3] < 0.9, axis=-1))
+    assert min(picture.shape[:2]) > 300 and 0.01 < inked < 0.8
