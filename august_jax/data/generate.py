@@ -111,4 +111,4 @@ def _compiled(keys, known, scatterer: Body | Cells, surface, cumulative, config:
                               pack(seen.estimated_channel))._asdict()
         return found
 
-    return jax.vmap(one)(*keys, known)
+    return jax.vmap(one)(*keys, known)  # type: ignore[call-arg]  # keys are two

@@ -97,8 +97,9 @@ def prepare_targets(config: Config, progress: Progress = silent) -> list[Target]
     # Repeating the last triangle adds no area: it is never chosen.
     surfaces = [tuple(np.pad(part, [(0, most - len(part))] + [(0, 0)] * (part.ndim - 1), mode="edge")
                       for part in airframe.surface) for airframe in airframes]
+    found: Sequence[Body | None] = bodies or [None] * len(airframes)
     return [Target(airframe, *lattice, body, surface) for airframe, lattice, body, surface
-            in zip(airframes, lattices, bodies or [None] * len(airframes), surfaces, strict=True)]
+            in zip(airframes, lattices, found, surfaces, strict=True)]
 
 
 def contrast_of(config: Config, permittivity: ArrayLike, conductivity: ArrayLike) -> Complex[jax.Array, " tones"]:
