@@ -23,7 +23,9 @@ import numpy as np
 from script import run
 
 from august_jax import config as configuration
-from august_jax.physics import PlanarArray, body_channel, contrast, factor_body, fisher_information, position_bound
+from august_jax.physics import (
+    Parameters, PlanarArray, factor_body, fisher_information, parameter_channel, position_bound,
+)
 from august_jax.app.plotting import new_figure, save
 from august_jax.scene import procedural_airframe, rotation_from_euler
 from august_jax.signal import observe
@@ -43,15 +45,13 @@ def compute(small: bool, report=print) -> dict[str, np.ndarray]:
     cells = procedural_airframe("quad_x", half_wheelbase_m=0.25).cells(cell_m, 0.002)
     report(f"quad_x: {cells.count} cells; {starts} starts of {steps} steps, with the gain known and fitted")
     body = factor_body(cells, 3e9, nearest_m=4.0)
-    chi = contrast(PERMITTIVITY, CONDUCTIVITY, 3e9).astype(jnp.complex64)
     turn0 = jnp.asarray(rotation_from_euler(*ANGLES), jnp.float32)
     place0 = jnp.asarray(PLACE, jnp.float32)
 
-    def channel(theta):
-        w = SCALES[3:] * theta[3:]
-        cross = jnp.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])
-        turn = jax.scipy.linalg.expm(cross) @ turn0
-        return body_channel(body, array, turn, place0 + SCALES[:3] * theta[:3], chi)
+    def channel(scaled):
+        step = SCALES * scaled
+        return parameter_channel(body, array, Parameters(step[:3], step[3:]), turn0, place0, PERMITTIVITY,
+                                 CONDUCTIVITY)[0]
 
     truth = channel(jnp.zeros(6))
     seen = observe(jax.random.key(0), truth[None], place0, array=config.array, signal=config.signal,

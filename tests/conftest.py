@@ -19,7 +19,7 @@ CHECKED = (
     "august_jax.evaluation",
     "august_jax.files",
     "august_jax.models",
-    "august_jax.physics.green",
+    "august_jax.physics",
     "august_jax.pipeline",
     "august_jax.scene.airframes",
     "august_jax.scene.cloud",

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Float
+from jaxtyping import Float, Real
 
 from august_jax.arrays import Array, ArrayLike
 
@@ -54,7 +54,7 @@ class Cells(NamedTuple):
             return normals[..., :, None] * normals[..., None, :]
         return normals
 
-    def moved(self, rotation: Float[Array, "3 3"], translation: Float[Array, "3"]) -> Cells:
+    def moved(self, rotation: Real[Array, "3 3"], translation: Real[Array, "3"]) -> Cells:
         """The cells after x -> R x + t; rotation (3, 3), translation (3,) [m].
 
         Raises:

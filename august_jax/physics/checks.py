@@ -27,6 +27,10 @@ _ROTATION = 1e-3  # largest entry of R^T R - I that rounding may leave
 
 def is_concrete(value: object) -> bool:
     """False for the abstract values inside jit, grad and vmap, whose numbers cannot be looked at."""
+    if isinstance(value, (float, complex, np.ndarray)):
+        return True
+    if isinstance(value, jax.Array):
+        return not isinstance(value, jax.core.Tracer)
     return not any(isinstance(leaf, (jax.core.Tracer, jax.ShapeDtypeStruct)) for leaf in jax.tree.leaves(value))
 
 

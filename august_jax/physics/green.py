@@ -16,14 +16,14 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Complex, Float, Num
 
-from august_jax.arrays import Array
+from august_jax.arrays import Array, ArrayLike
 
 _FOUR_PI = 4.0 * np.pi
 
 
-def inner(first: jax.Array, second: jax.Array) -> jax.Array:
+def inner(first: Num[Array, "... 3"], second: Num[Array, "... 3"]) -> Num[Array, "..."]:
     """Scalar products (...,) of vectors (..., 3).
 
     Written out: XLA for CPUs (jaxlib 0.10.2) fuses ``jnp.sum(a * b, axis=-1)`` with the broadcast of its result into a
@@ -50,7 +50,7 @@ def path_difference(offset: Float[Array, "... 3"], base: Float[Array, "... 3"]) 
     return inner(offset, offset - 2.0 * base) / (jnp.sqrt(inner(rest, rest)) + jnp.sqrt(inner(base, base)))
 
 
-def dyadic_green(displacement: jax.Array, wavenumber: float | jax.Array) -> jax.Array:
+def dyadic_green(displacement: Float[Array, "*pairs 3"], wavenumber: ArrayLike) -> Complex[jax.Array, "*pairs 3 3"]:
     """G for displacements p1 - p2.
 
     Args:
@@ -69,7 +69,7 @@ def dyadic_green(displacement: jax.Array, wavenumber: float | jax.Array) -> jax.
     return (wave * g)[..., None, None] * outer - (wave * h)[..., None, None] * identity
 
 
-def coupling_matrix(positions: jax.Array, wavenumber: float | jax.Array) -> jax.Array:
+def coupling_matrix(positions: Float[Array, "n 3"], wavenumber: ArrayLike) -> Complex[jax.Array, "3*n 3*n"]:
     """G between all pairs of points, with zero blocks on the diagonal.
 
     Args:
@@ -132,8 +132,11 @@ def _in_rows(blocks):
 
 
 def dipole_fields(
-    points: jax.Array, sources: jax.Array, moments: jax.Array, wavenumber: float | jax.Array
-) -> jax.Array:
+    points: Float[Array, "n 3"],
+    sources: Float[Array, "antennas 3"],
+    moments: Float[Array, "antennas 3"] | Float[Array, "3"],
+    wavenumber: ArrayLike,
+) -> Complex[jax.Array, "3*n antennas"]:
     """Fields of point dipoles at the cells of a body: the columns of M (paper, eqs. Ei, Ei n).
 
     Args:
@@ -155,8 +158,12 @@ def dipole_fields(
 
 
 def dipole_fields_about(
-    local: jax.Array, base: jax.Array, elements: jax.Array, moments: jax.Array, wavenumber: float | jax.Array
-) -> jax.Array:
+    local: Float[Array, "n 3"],
+    base: Float[Array, "3"],
+    elements: Float[Array, "antennas 3"],
+    moments: Float[Array, "antennas 3"] | Float[Array, "3"],
+    wavenumber: ArrayLike,
+) -> Complex[jax.Array, "n antennas 3"]:
     """Fields at ``base + local`` of dipoles at ``elements``: single precision keeps the digits of the phase k r.
 
     Only |base| is long. It is carried in two parts, and what each point and each element add to it is computed

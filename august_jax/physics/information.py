@@ -21,7 +21,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Real
 
 from august_jax.arrays import Array, ArrayLike
 from august_jax.physics.array import AntennaArray, PlanarArray, wavenumber
@@ -63,8 +63,8 @@ KNOWN_GAIN = Spread(log_gain=1e-4, phase=1e-4)
 def fisher_information(
     body: Body,
     array: PlanarArray | AntennaArray,
-    rotation: Float[Array, "*poses 3 3"],
-    position: Float[Array, "*poses 3"],
+    rotation: Real[Array, "*poses 3 3"],
+    position: Real[Array, "*poses 3"],
     permittivity: ArrayLike,
     conductivity: ArrayLike,
     snr: ArrayLike,
@@ -189,8 +189,8 @@ def without_gain(information: Float[Array, "*poses 10 10"]) -> Float[np.ndarray,
 def unknown_gain_position_bound(
     body: Body,
     array: PlanarArray | AntennaArray,
-    rotation: Float[Array, "3 3"],
-    position: Float[Array, "3"],
+    rotation: Real[Array, "3 3"],
+    position: Real[Array, "3"],
     permittivity: ArrayLike,
     conductivity: ArrayLike,
     snr: ArrayLike,

@@ -38,7 +38,9 @@ import jax
 import jax.numpy as jnp
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
+from jaxtyping import Bool, Complex, Float, Inexact, Int
 
+from august_jax.arrays import Array, ArrayLike
 from august_jax.physics.cells import Cells
 from august_jax.physics.mom import centred, coupling_weights, interaction_matrix, own_blocks
 from august_jax.physics.planes import coupled_fields, coupling_change, coupling_planes
@@ -62,16 +64,21 @@ class KrylovSolution(NamedTuple):
         by_lu: whether LU had to take over, bool.
     """
 
-    scaled: jax.Array
-    fields: jax.Array
-    combinations: jax.Array
-    residual: jax.Array
-    steps: jax.Array
-    by_lu: jax.Array
+    scaled: Complex[Array, "rows c"]
+    fields: Complex[Array, "rows c"]
+    combinations: Complex[Array, "r c"]
+    residual: Float[Array, ""]
+    steps: Int[Array, ""]
+    by_lu: Bool[Array, ""]
 
 
 def solve_krylov(
-    matrix: jax.Array, contrast: jax.Array, fields: jax.Array, *, tolerance: float = TOLERANCE, steps: int = _STEPS
+    matrix: Complex[Array, "rows rows"],
+    contrast: ArrayLike,
+    fields: Inexact[Array, "rows r"],
+    *,
+    tolerance: float = TOLERANCE,
+    steps: int = _STEPS,
 ) -> KrylovSolution:
     """Solve the coupled system by COCR on compressed right-hand sides, by LU where that does not converge.
 
@@ -90,7 +97,7 @@ def solve_krylov(
 
 
 def solve_moving(
-    cells: Cells, wavenumber: float | jax.Array, contrast: jax.Array, fields: jax.Array
+    cells: Cells, wavenumber: ArrayLike, contrast: ArrayLike, fields: Inexact[Array, "rows r"]
 ) -> KrylovSolution:
     """:func:`solve_krylov` of cells, from planes: K' itself is assembled only where LU has to take over."""
     planes = coupling_planes(centred(cells), wavenumber)

@@ -20,7 +20,9 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Complex, Float, Inexact
 
+from august_jax.arrays import Array, ArrayLike
 from august_jax.physics.cells import Cells
 from august_jax.physics.green import coupling_matrix
 
@@ -33,11 +35,11 @@ class Solution(NamedTuple):
         residual: largest relative residual over the columns, real.
     """
 
-    polarization: jax.Array
-    residual: jax.Array
+    polarization: Complex[Array, "3*n r"]
+    residual: Float[Array, ""]
 
 
-def self_term(volumes: jax.Array, wavenumber: float | jax.Array) -> jax.Array:
+def self_term(volumes: Float[Array, "*n"] | float, wavenumber: ArrayLike) -> Complex[jax.Array, "*n"]:
     """M0 of cells of the given volumes [m^3]; same shape, complex, dimensionless."""
     radius = (3.0 * volumes / (4.0 * np.pi)) ** (1.0 / 3.0)
     x = wavenumber * radius
@@ -47,7 +49,7 @@ def self_term(volumes: jax.Array, wavenumber: float | jax.Array) -> jax.Array:
     return jnp.where(x < 0.02, series, exact)
 
 
-def interaction_matrix(cells: Cells, wavenumber: float | jax.Array) -> jax.Array:
+def interaction_matrix(cells: Cells, wavenumber: ArrayLike) -> Complex[jax.Array, "rows rows"]:
     """K' (3N, 3N), complex symmetric: it knows the geometry, not the material."""
     count = cells.positions.shape[0]
     weight = jnp.repeat(jnp.sqrt(cells.fractions() * cells.volumes), 3)
@@ -57,18 +59,18 @@ def interaction_matrix(cells: Cells, wavenumber: float | jax.Array) -> jax.Array
     return blocks.at[place, :, place, :].add(own_blocks(cells, wavenumber)).reshape(3 * count, 3 * count)
 
 
-def centred(cells: Cells) -> jax.Array:
+def centred(cells: Cells) -> Float[jax.Array, "n 3"]:
     """Positions (N, 3) about their mean [m]: differences of small numbers keep their digits."""
     positions = jnp.asarray(cells.positions)
     return positions - jnp.mean(positions, axis=0)
 
 
-def coupling_weights(cells: Cells, wavenumber: float | jax.Array) -> jax.Array:
+def coupling_weights(cells: Cells, wavenumber: ArrayLike) -> Float[jax.Array, "rows 1"]:
     """w = k sqrt(f V) (3N, 1), of K'_ij = w_i w_j G(p_i, p_j)."""
     return wavenumber * jnp.repeat(jnp.sqrt(cells.fractions() * cells.volumes), 3)[:, None]
 
 
-def own_blocks(cells: Cells, wavenumber: float | jax.Array) -> jax.Array:
+def own_blocks(cells: Cells, wavenumber: ArrayLike) -> Complex[jax.Array, "n 3 3"]:
     """What cells do to themselves, f M0 I - (1 - f) n n^T: the diagonal blocks (N, 3, 3) of K'."""
     fill = cells.fractions()
     identity = jnp.eye(3, dtype=jnp.result_type(cells.positions))
@@ -76,12 +78,14 @@ def own_blocks(cells: Cells, wavenumber: float | jax.Array) -> jax.Array:
     return own - (1.0 - fill)[:, None, None] * cells.tensors()
 
 
-def weighted_fields(cells: Cells, fields: jax.Array) -> jax.Array:
+def weighted_fields(cells: Cells, fields: Inexact[Array, "rows r"]) -> Inexact[jax.Array, "rows r"]:
     """E' = sqrt(f V) E for fields (3N, R)."""
     return jnp.repeat(jnp.sqrt(cells.fractions() * cells.volumes), 3)[:, None] * fields
 
 
-def solve_dense(matrix: jax.Array, contrast: jax.Array, fields: jax.Array) -> Solution:
+def solve_dense(
+    matrix: Complex[Array, "rows rows"], contrast: ArrayLike, fields: Inexact[Array, "rows r"]
+) -> Solution:
     """Solve (D^{-1} - K') P = E' by LU, in the form (I - D K') P = D E', which also admits chi = 0.
 
     Args:

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Complex, Float
+from jaxtyping import Complex, Float, Real
 
 from august_jax.arrays import Array, ArrayLike
 from august_jax.physics.array import AntennaArray, PlanarArray
@@ -70,7 +70,7 @@ def rotation_from_vector(vector: Float[Array, "3"]) -> Float[jax.Array, "3 3"]:
 
 
 def moved(
-    theta: Parameters, rotation: Float[Array, "3 3"], position: Float[Array, "3"]
+    theta: Parameters, rotation: Real[Array, "3 3"], position: Real[Array, "3"]
 ) -> tuple[Float[jax.Array, "3 3"], Float[jax.Array, "3"]]:
     """The pose theta away: R(w) R (3, 3) and q + dq (3,) [m]."""
     turn = rotation_from_vector(jnp.asarray(theta.turn))
@@ -81,8 +81,8 @@ def parameter_channel(
     body: Body,
     array: PlanarArray | AntennaArray,
     theta: Parameters,
-    rotation: Float[Array, "3 3"],
-    position: Float[Array, "3"],
+    rotation: Real[Array, "3 3"],
+    position: Real[Array, "3"],
     permittivity: ArrayLike,
     conductivity: ArrayLike,
     receiver: PlanarArray | AntennaArray | None = None,

@@ -128,7 +128,7 @@ GOOD = scattered()
     ((GOOD.positions, 2.0 * GOOD.moments, 3e9), "moments: row . has length 2"),
     ((GOOD.positions, GOOD.moments, -1.0), "frequency_hz"),
 ])
-def test_bad_arrays_are_refused(parts, message):
+def test_bad_arrays_are_refused(parts, message, unchecked):
     with pytest.raises(ValueError, match=message):
         AntennaArray(*parts)
 

@@ -231,7 +231,7 @@ GOOD = cross()
     (GOOD, np.nan, {}, "contrast: holds NaN"),
     (GOOD, CHI, {"at_array": True}, "outside the body"),
 ])
-def test_bad_input_is_named(cells, chi, options, message):
+def test_bad_input_is_named(cells, chi, options, message, unchecked):
     options = dict(options)
     place = ARRAY.positions[3] if options.pop("at_array", False) else CENTRE
     cells = cells._replace(positions=cells.positions + place)

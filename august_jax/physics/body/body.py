@@ -22,7 +22,7 @@ from dataclasses import dataclass, field, replace
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Complex, Float, Int
+from jaxtyping import Complex, Float, Int, Real
 
 from august_jax.arrays import Array, ArrayLike
 from august_jax.physics.array import AntennaArray, PlanarArray, wavenumber
@@ -123,8 +123,8 @@ def alike(bodies: Sequence[Body]) -> list[Body]:
 def body_channel(
     body: Body,
     array: PlanarArray | AntennaArray,
-    rotation: Float[ArrayLike, "3 3"],
-    translation: Float[ArrayLike, "3"],
+    rotation: Real[Array, "3 3"],
+    translation: Real[Array, "3"],
     contrast: ArrayLike | Sequence,
     *,
     receiver: PlanarArray | AntennaArray | None = None,
@@ -167,9 +167,8 @@ def body_channel(
     check_contrast(contrast, ((), (tones,)), f"a scalar or ({tones},), one value a tone")
     if is_concrete(contrast):
         _judge_contrast(body, contrast)
-    return _body_channel(body, array, receiver, *(
-        jnp.asarray(settled(name, part)) for name, part in (
-            ("rotation", rotation), ("translation", translation), ("contrast", contrast))))
+    return _body_channel(body, array, receiver, settled("rotation", rotation), settled("translation", translation),
+                         settled("contrast", contrast))
 
 
 def _judge_contrast(body: Body, contrast) -> None:
