@@ -11,6 +11,7 @@ change the numbers (double precision, the way threefry counts) for as long as sa
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from functools import wraps
@@ -72,6 +73,11 @@ def key(seed: int, name: str, *numbers: int | Array) -> jax.Array:
     for number in numbers:
         found = jax.random.fold_in(found, number)
     return found
+
+
+def named(parent: jax.Array, name: str) -> jax.Array:
+    """The member () of a stream that belongs to a name of any kind, whatever other names there are."""
+    return jax.random.fold_in(parent, zlib.crc32(name.encode()))
 
 
 def members(parent: jax.Array, numbers: Array) -> jax.Array:

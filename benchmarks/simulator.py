@@ -42,7 +42,7 @@ import numpy as np
 from common import Figures, machine, medians, parsed, write
 
 from august_jax.config import ArrayConfig, Config, TargetConfig, preset
-from august_jax.data.simulator import contrast_of, lattice_of, lattices_of, nearest_distance, true_channel
+from august_jax.data.simulator import contrast_of, lattice_of, lattices_of, nearest_distance, simulated_channel
 from august_jax.physics import (
     Cells,
     PlanarArray,
@@ -320,7 +320,7 @@ def flights_set(args) -> list[dict]:
     factoring = time.perf_counter() - start
     fast = jax.jit(
         jax.vmap(
-            lambda body, turn, place: true_channel(config, body, turn, place, PERMITTIVITY, CONDUCTIVITY), (None, 0, 0)
+            lambda body, turn, place: simulated_channel(config, body, turn, place, PERMITTIVITY, CONDUCTIVITY), (None, 0, 0)
         )
     )
     start = time.perf_counter()

@@ -194,7 +194,7 @@ LAWS = Subspace(PlanarArray(4, 2, 3e9), (3e9,), 8)
 PLACE = np.array([3.0, 4.0, 2.0])
 EXACT = {"ls": 1e-5, "dft": 1e-5, "ridge": 2e-3, "lmmse_roi": 3e-2}
 """Relative error without noise: of a solve, of a regulariser that a noise of -90 dB asks for, and of the many-scatterer
-prior, whose Gram matrix float32 knows to 35 dB."""
+prior, whose Gram matrix float32 knows to 35 dB; others must do as well as the last."""
 
 
 @cache
@@ -214,7 +214,7 @@ def law_setting():
 def test_every_estimator_is_exact_without_noise(name):
     channel, sent, region, _ = law_setting()
     made = estimate_channel(name, channel @ sent, sent, noise_w=1e-9, region=region)
-    assert np.linalg.norm(made.channel - channel) < EXACT[name] * np.linalg.norm(channel)
+    assert np.linalg.norm(made.channel - channel) < EXACT.get(name, 3e-2) * np.linalg.norm(channel)
     assert made.rank == 8
 
 

@@ -6,12 +6,13 @@ from august_jax.data.generate import generate, split_of
 from august_jax.data.observe import as_observed, batch_of, observed_anew
 from august_jax.data.shards import DataError, bytes_of, read_manifest, simulate
 from august_jax.data.simulator import (
-    Target, channels_along, contrast_of, lattice_of, lattices_of, nearest_distance, prepare_targets, true_channel,
+    Target, channels_along, contrast_of, lattice_of, lattices_of, nearest_distance, prepare_targets,
+    simulated_channel,
 )
 
 __all__ = [
     "SPLITS", "Batch", "DataError", "Dataset", "Observed", "Sample", "Target", "TrainingBatches", "as_observed",
     "batch_of", "bytes_of", "channels_along", "contrast_of", "generate", "lattice_of", "lattices_of",
-    "nearest_distance", "observed_anew", "pack", "prepare_targets", "read_manifest", "simulate", "split_of",
-    "true_channel", "unpack",
+    "nearest_distance", "observed_anew", "pack", "prepare_targets", "read_manifest", "simulate", "simulated_channel",
+    "split_of", "unpack",
 ]

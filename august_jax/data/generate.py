@@ -23,7 +23,7 @@ from august_jax import streams
 from august_jax.config import Config
 from august_jax.data.fields import Observed, Sample, pack
 from august_jax.data.observe import draw_level, draw_prediction
-from august_jax.data.simulator import Target, true_channel
+from august_jax.data.simulator import Target, simulated_channel
 from august_jax.physics import Body, Cells
 from august_jax.scene.airframes import sample_triangles
 from august_jax.scene.trajectory import fly_many
@@ -98,7 +98,7 @@ def generate(
 @partial(jax.jit, static_argnames="config")
 def _compiled(keys, known, scatterer: Body | Cells, surface, cumulative, config: Config) -> dict[str, jax.Array]:
     def one(points_key, observation_key, row):
-        channel = true_channel(config, scatterer, row["rotation"], row["position"], row["permittivity"],
+        channel = simulated_channel(config, scatterer, row["rotation"], row["position"], row["permittivity"],
                                row["conductivity"])
         points = sample_triangles(points_key, surface, cumulative, config.target.points) @ row["rotation"].T
         found = {"points": points, "true_channel": pack(channel)}

@@ -48,7 +48,7 @@ class Target:
 
     @property
     def scatterer(self) -> Body | Cells:
-        """What :func:`true_channel` takes: the body, or the cells where the solver needs none."""
+        """What :func:`simulated_channel` takes: the body, or the cells where the solver needs none."""
         return self.cells if self.body is None else self.body
 
 
@@ -108,7 +108,7 @@ def contrast_of(config: Config, permittivity: ArrayLike, conductivity: ArrayLike
     return contrast(permittivity, conductivity, tones).astype(jnp.complex64)
 
 
-def true_channel(
+def simulated_channel(
     config: Config,
     scatterer: Body | Cells,
     rotation: Float[Array, "3 3"],
@@ -116,7 +116,7 @@ def true_channel(
     permittivity: ArrayLike,
     conductivity: ArrayLike,
 ) -> Complex[jax.Array, "tones antennas antennas"]:
-    """H of one craft in one pose (F, N_b, N_b) complex64, by ``config.data.solver``; pure, ``config`` static.
+    """The true channel H of one craft in one pose (F, N_b, N_b) complex64, by ``config.data.solver``; pure, ``config`` static.
 
     Args:
         config: array, tones and solver.
@@ -157,7 +157,7 @@ def channels_along(
         scatterer = factor_body(scatterer, config.array.frequencies_hz, nearest_m=nearest_distance(config))
 
     def one(pose: tuple[jax.Array, jax.Array]) -> jax.Array:
-        return true_channel(config, scatterer, *pose, permittivity, conductivity)
+        return simulated_channel(config, scatterer, *pose, permittivity, conductivity)
 
     # Dense solves go one after the other: each holds matrices of hundreds of megabytes.
     many = jax.vmap(one) if isinstance(scatterer, Body) else lambda poses: jax.lax.map(one, poses)

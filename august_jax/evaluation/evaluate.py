@@ -8,7 +8,6 @@ triples of them (``mde_triples``), both of :mod:`august_jax.tracking.attitude`. 
 from __future__ import annotations
 
 import time
-import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -63,7 +62,7 @@ def evaluate(networks: Networks, config: Config, *, seed: int, progress: Progres
     root = streams.key(seed, "evaluate.answer")
     asks: dict[str, Ask] = {}
     for name, scheme in SCHEMES.items():
-        ask = scheme.prepare(Setting(config, networks, airframes, _own(root, name)))
+        ask = scheme.prepare(Setting(config, networks, airframes, streams.named(root, name)))
         if ask is not None:
             asks[name] = ask
     seen_key = streams.key(seed, "evaluate.observation")
@@ -80,20 +79,17 @@ def evaluate(networks: Networks, config: Config, *, seed: int, progress: Progres
         for name, ask in asks.items():
             scored = deaf.get(name)
             if scored is None:
-                answer = _in_pieces(ask, jax.random.fold_in(_own(root, name), 1), asked)
+                answer = _in_pieces(ask, jax.random.fold_in(streams.named(root, name), 1), asked)
                 scored = score(answer, truth, config.target.half_wheelbase_m)
                 if not SCHEMES[name].hears:
                     deaf[name] = scored
             rows.append({"scheme": name, "label": SCHEMES[name].label, "snr_db": snr_db, **scored, "count": count,
                          **bound.at(snr_db)})
         left = (time.monotonic() - began) / done * (len(levels) - done)
-        progress(f"SNR {snr_db:g} dB: MPE {rows[-len(asks)]['mpe_m']:.3f} m  {left:.0f} s left")
+        errors = {row["scheme"]: row["mpe_m"] for row in rows[-len(asks):] if row["mpe_m"] is not None}
+        progress(f"SNR {snr_db:g} dB: MPE {', '.join(f'{name} {error:.3f}' for name, error in errors.items())} m  "
+                 f"{left:.0f} s left")
     return rows
-
-
-def _own(root: jax.Array, name: str) -> jax.Array:
-    """A scheme's own key: it does not change when other schemes come or go."""
-    return jax.random.fold_in(root, zlib.crc32(name.encode()))
 
 
 def _in_pieces(ask: Ask, key: jax.Array, slots: Slots) -> Answer:

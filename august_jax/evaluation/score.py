@@ -90,19 +90,19 @@ def score_track(track: Track, config: Config, size_m: float, *, seed: int = 0) -
     root = streams.key(seed, "sense.answer")
     answers = {"august": Answer(
         position=track.estimated_position - track.position, normal=track.normal_estimate,
-        triple_normal=cloud_normals(jax.random.fold_in(root, 0), points)[1],
+        triple_normal=cloud_normals(streams.named(root, "august"), points)[1],
         cloud=WorldCloud(points, track.point_permittivity, track.point_conductivity))}
     try:
         airframes = [resolve_airframe(name, config.target.half_wheelbase_m) for name in config.target.airframes]
     except ValueError as error:
         warnings.warn(f"no mean_shape to compare with, of the airframes that the weights know: {error}", stacklevel=2)
         airframes = None
-    setting = Setting(config, None, airframes, jax.random.fold_in(root, 1))
+    setting = Setting(config, None, airframes, streams.named(root, "prepared"))
     slots = Slots(track.predicted - track.position, None, None, truth)
-    for number, (name, scheme) in enumerate(SCHEMES.items(), 2):
+    for name, scheme in SCHEMES.items():
         ask = None if scheme.hears else scheme.prepare(setting)
         if ask is not None:
-            answers[name] = ask(jax.random.fold_in(root, number), slots)
+            answers[name] = ask(streams.named(root, name), slots)
     rows = [{"scheme": name, "label": SCHEMES[name].label, **score(answer, truth, size_m)}
             for name, answer in answers.items()]
     return {"slots": [_slot(track, number) for number in range(track.slots)], "schemes": rows}

@@ -137,16 +137,18 @@ def dipole_fields(
     moments: Float[Array, "antennas 3"] | Float[Array, "3"],
     wavenumber: ArrayLike,
 ) -> Complex[jax.Array, "3*n antennas"]:
-    """Fields of point dipoles at the cells of a body: the columns of M (paper, eqs. Ei, Ei n).
+    """The incident field: what point dipoles put on the cells of a body, E_n(p_i) = G(p_i, p_n) v_n.
+
+    The fields of antenna n at all N cells are a column of the paper's M (Section II-A, the incident field).
 
     Args:
-        points: (N, 3) [m].
-        sources: antenna positions (N_b, 3) [m].
-        moments: unit vectors of the dipoles, (3,) or (N_b, 3).
+        points: p_i (N, 3) [m].
+        sources: antenna positions p_n (N_b, 3) [m].
+        moments: unit vectors v_n of the dipoles, (3,) or (N_b, 3).
         wavenumber: k [rad/m].
 
     Returns:
-        (3N, N_b) complex [1/m]; row 3i + a is component a at point i.
+        M (3N, N_b) complex [1/m]; row 3i + a is component a at point i.
     """
     # Halfway between extremes, which any order of evaluation gives alike: a mean that the compiler computes twice, for
     # the points and for the long way, may differ by 1e-6 m. Either end moves through what is taken about its middle.

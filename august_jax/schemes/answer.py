@@ -98,7 +98,8 @@ class Setting(NamedTuple):
 
 
 Ask = Callable[[jax.Array, Slots], Answer]
-"""(key, slots) -> answer; compiled by itself, for up to some fifty slots at a time."""
+"""(key, slots) -> answer, for up to some fifty slots at a time. Nobody compiles it from outside, so that NumPy serves as
+well; one that networks or physics make slow compiles itself."""
 
 
 @dataclass(frozen=True)
@@ -109,10 +110,11 @@ class Scheme:
         name: in the registry, in rows and in files.
         label: what it is, in a few words, for people.
         prepare: a setting -> what answers; None where the setting lacks what the scheme needs.
-        hears: its answer depends on what is heard; without, one answer serves all SNRs.
+        hears: its answer depends on what is heard; where not, one answer serves all SNRs, and it may be asked in
+            silence (``heard`` None).
     """
 
     name: str
     label: str
     prepare: Callable[[Setting], Ask | None]
-    hears: bool = False
+    hears: bool

@@ -73,7 +73,7 @@ def _resampling(setting: Setting) -> Ask:
     return ask
 
 
-PREDICTION = Scheme("prediction", "answering the predicted position", _prediction)
-UP = Scheme("up", "answering a level drone", _up)
-MEAN_SHAPE = Scheme("mean_shape", "the average drone at the prediction", _mean_shape)
-RESAMPLING = Scheme("resampling", "the true surface sampled anew: the floor", _resampling)
+PREDICTION = Scheme("prediction", "answering the predicted position", _prediction, hears=False)
+UP = Scheme("up", "answering a level drone", _up, hears=False)
+MEAN_SHAPE = Scheme("mean_shape", "the average drone at the prediction", _mean_shape, hears=False)
+RESAMPLING = Scheme("resampling", "the true surface sampled anew: the floor", _resampling, hears=False)

@@ -30,7 +30,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -87,12 +87,13 @@ class Estimator:
     """An estimator and what it asks of the station.
 
     Attributes:
-        run: (Y, X, sigma^2, region) -> :class:`ChannelEstimate`.
+        run: (Y, X, sigma^2, region) -> :class:`ChannelEstimate`, for one tone. The station hands Y and X over in units
+            of the noise's amplitude, with sigma^2 = 1; any other unit must do as well.
         needs: which of ``noise_w`` and ``region`` must be given.
         uniform_pilots: it wants unitary pilots that light all directions alike, not the region's beams.
     """
 
-    run: Callable[..., ChannelEstimate]
+    run: Callable[[Received, Pilots, Any, Any], ChannelEstimate]
     needs: tuple[str, ...] = ()
     uniform_pilots: bool = False
 
