@@ -19,8 +19,9 @@ import jax.numpy as jnp
 import numpy as np
 from script import run
 
-from august_jax.physics import PlanarArray, contrast, sensing_channel
 from august_jax.app.plotting import new_figure, save
+from august_jax.physics import PlanarArray, contrast, sensing_channel
+from august_jax.progress import Progress
 from august_jax.scene import procedural_airframe, rotation_from_euler
 
 PLACE = np.array([3.0, 4.5, 2.5])
@@ -29,7 +30,7 @@ SKIN_M = 0.001
 SITES = ("centroid", "centre")
 
 
-def compute(small: bool, report=print) -> dict[str, np.ndarray]:
+def compute(small: bool, progress: Progress = print) -> dict[str, np.ndarray]:
     """Relative differences to the finest lattice (fields at, size, permittivity), root mean squares over attitudes."""
     sizes_mm, poses = ((14.0, 10.0, 7.0, 5.0), 2) if small else ((14.0, 10.0, 7.0, 5.0, 4.0), 4)
     array = PlanarArray(16, 4, 3e9)
@@ -50,7 +51,7 @@ def compute(small: bool, report=print) -> dict[str, np.ndarray]:
                          for body in (single, at_centres(single, 1e-3 * size))])
         counts.append(cells.count)
         volumes.append(float(np.sum(np.asarray(cells.fill) * np.asarray(cells.volumes))))
-        report(f"{size:g} mm: {cells.count} cells, {1e6 * volumes[-1]:.1f} cm^3 of material, "
+        progress(f"{size:g} mm: {cells.count} cells, {1e6 * volumes[-1]:.1f} cm^3 of material, "
                f"{time.perf_counter() - began:.0f} s")
     channels = np.array(channels).swapaxes(0, 1)  # (fields at, size, permittivity, pose, N_b, N_b)
     finest = channels[0, -1]
@@ -61,7 +62,7 @@ def compute(small: bool, report=print) -> dict[str, np.ndarray]:
     rms = [np.sqrt(np.mean(value**2, axis=-1)) for value in (plain, shape)]
     for kind, difference, free in zip(SITES, *rms):
         for size, row, apart in zip(sizes_mm, difference, free):
-            report(f"fields at the {kind}, {size:g} mm: " + ", ".join(
+            progress(f"fields at the {kind}, {size:g} mm: " + ", ".join(
                 f"permittivity {value:g}: {off:.1%} ({left:.1%} but for a gain)"
                 for value, off, left in zip(PERMITTIVITIES, row, apart)))
     return {"sizes_mm": np.array(sizes_mm), "cells": np.array(counts), "material_m3": np.array(volumes),

@@ -20,10 +20,16 @@ import numpy as np
 import optax
 from script import run
 
-from august_jax.physics import (
-    AntennaArray, PlanarArray, body_channel, contrast, factor_body, unknown_gain_position_bound,
-)
 from august_jax.app.plotting import new_figure, save
+from august_jax.physics import (
+    AntennaArray,
+    PlanarArray,
+    body_channel,
+    contrast,
+    factor_body,
+    unknown_gain_position_bound,
+)
+from august_jax.progress import Progress
 from august_jax.scene import procedural_airframe, rotation_from_euler
 
 FREQUENCY = 3e9
@@ -47,11 +53,11 @@ def arrays(generator: np.random.Generator) -> dict[str, np.ndarray]:
     }
 
 
-def compute(small: bool, report=print) -> dict[str, np.ndarray]:
+def compute(small: bool, progress: Progress = print) -> dict[str, np.ndarray]:
     """Places and bounds of the arrays, the course of the descent, and ambiguity over range and cross-range."""
     cell_m, seen, unseen, steps, cuts = (0.035, 6, 12, 60, 61) if small else (0.02, 16, 48, 200, 121)
     body = factor_body(procedural_airframe("quad_x").cells(cell_m, 0.002), FREQUENCY)
-    report(f"quad_x: {body.cells} cells of {1e3 * cell_m:g} mm; {seen} poses to descend on, {unseen} to measure on")
+    progress(f"quad_x: {body.cells} cells of {1e3 * cell_m:g} mm; {seen} poses to descend on, {unseen} to measure on")
     generator = np.random.default_rng(0)
 
     def poses(count):
@@ -94,10 +100,10 @@ def compute(small: bool, report=print) -> dict[str, np.ndarray]:
         change, state = optimizer.update(gradient, state)
         plane = jnp.clip(plane + change, -HALF_M, HALF_M)
         if step % max(steps // 5, 1) == 0:
-            report(f"step {step}/{steps}: {1e2 * course[-1]:.2f} cm")
+            progress(f"step {step}/{steps}: {1e2 * course[-1]:.2f} cm")
     chosen["descended"] = np.asarray(plane)
     table = {name: float(measure(jnp.asarray(places, jnp.float32), *held_out)) for name, places in chosen.items()}
-    report("bound on poses not seen: " + ", ".join(f"{name} {1e2 * value:.2f} cm" for name, value in table.items()))
+    progress("bound on poses not seen: " + ", ".join(f"{name} {1e2 * value:.2f} cm" for name, value in table.items()))
 
     chi = contrast(PERMITTIVITY, CONDUCTIVITY, FREQUENCY).astype(jnp.complex64)
     toward = CENTRE / np.linalg.norm(CENTRE)

@@ -17,9 +17,10 @@ from pathlib import Path
 import numpy as np
 from script import run
 
+from august_jax.app.plotting import new_figure, save
 from august_jax.physics import PlanarArray, factor_body, fisher_information, position_bound, tilt_bound
 from august_jax.physics.information import Spread
-from august_jax.app.plotting import new_figure, save
+from august_jax.progress import Progress
 from august_jax.scene import procedural_airframe, rotation_from_euler
 
 DIRECTION = np.array([0.5, 0.7, 0.51]) / np.linalg.norm([0.5, 0.7, 0.51])
@@ -30,13 +31,13 @@ COMBS = {"1 tone": (1, 0.0), "4 tones, 20 MHz": (4, 20e6), "4 tones, 100 MHz": (
 SNRS_DB = np.arange(0.0, 42.0, 2.0)
 
 
-def compute(small: bool, report=print) -> dict[str, np.ndarray]:
+def compute(small: bool, progress: Progress = print) -> dict[str, np.ndarray]:
     """Bounds [m], [deg] of shape (case, range, SNR), averaged over attitudes; one case an array or a comb."""
     cell_m, attitudes, ranges = (0.03, 4, 6) if small else (0.015, 16, 12)
     ranges_m = np.geomspace(4.0, 60.0, ranges)
     drone = procedural_airframe("quad_x", half_wheelbase_m=0.25)
     cells = drone.cells(cell_m, 0.002)
-    report(f"{drone.name}: {cells.count} cells of {1e3 * cell_m:g} mm, {attitudes} attitudes, {ranges} ranges")
+    progress(f"{drone.name}: {cells.count} cells of {1e3 * cell_m:g} mm, {attitudes} attitudes, {ranges} ranges")
     generator = np.random.default_rng(0)
     tilts = np.deg2rad(generator.uniform(-30.0, 30.0, (2, attitudes)))
     rotations = np.asarray(rotation_from_euler(*tilts, generator.uniform(-np.pi, np.pi, attitudes)))
@@ -56,7 +57,8 @@ def compute(small: bool, report=print) -> dict[str, np.ndarray]:
         position.append(np.stack([position_bound(f).reshape(ranges, attitudes) for f in by_snr], -1))
         tilts = [tilt_bound(f, turns[:, :, 2]).reshape(ranges, attitudes) for f in by_snr]
         tilt.append(np.rad2deg(np.stack(tilts, -1)))
-        report(f"{label}: {1e2 * np.sqrt(np.mean(position[-1][0, :, 10] ** 2)):.2g} cm at {ranges_m[0]:g} m and 20 dB "
+        near = 1e2 * np.sqrt(np.mean(position[-1][0, :, 10] ** 2))
+        progress(f"{label}: {near:.2g} cm at {ranges_m[0]:g} m and 20 dB "
                f"({time.perf_counter() - began:.0f} s)")
 
     def rms(values):  # over attitudes

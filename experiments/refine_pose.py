@@ -23,10 +23,16 @@ import numpy as np
 from script import run
 
 from august_jax import config as configuration
-from august_jax.physics import (
-    Parameters, PlanarArray, factor_body, fisher_information, parameter_channel, position_bound,
-)
 from august_jax.app.plotting import new_figure, save
+from august_jax.physics import (
+    Parameters,
+    PlanarArray,
+    factor_body,
+    fisher_information,
+    parameter_channel,
+    position_bound,
+)
+from august_jax.progress import Progress
 from august_jax.scene import procedural_airframe, rotation_from_euler
 from august_jax.signal import observe
 
@@ -37,13 +43,13 @@ SCALES = np.array([0.05, 0.05, 0.05, 0.1, 0.1, 0.1])
 """Steps of unit size in place [m] and in a rotation vector [rad]."""
 
 
-def compute(small: bool, report=print) -> dict[str, np.ndarray]:
+def compute(small: bool, progress: Progress = print) -> dict[str, np.ndarray]:
     """Valleys along the line of sight, and errors before and after the descent from every start."""
     config = configuration.preset("laptop")
     cell_m, starts, steps = (0.03, 48, 30) if small else (0.016, 192, 60)
     array = PlanarArray(16, 4, 3e9)
     cells = procedural_airframe("quad_x", half_wheelbase_m=0.25).cells(cell_m, 0.002)
-    report(f"quad_x: {cells.count} cells; {starts} starts of {steps} steps, with the gain known and fitted")
+    progress(f"quad_x: {cells.count} cells; {starts} starts of {steps} steps, with the gain known and fitted")
     body = factor_body(cells, 3e9, nearest_m=4.0)
     turn0 = jnp.asarray(rotation_from_euler(*ANGLES), jnp.float32)
     place0 = jnp.asarray(PLACE, jnp.float32)
@@ -81,7 +87,7 @@ def compute(small: bool, report=print) -> dict[str, np.ndarray]:
     sight = PLACE / np.linalg.norm(PLACE)
     offsets = np.linspace(-0.2, 0.2, 161)
     along = jnp.asarray(offsets[:, None] * np.append(sight, [0, 0, 0]) / SCALES, jnp.float32)
-    valleys = np.stack([np.asarray(jax.lax.map(lambda t: jnp.sum(misfit(t, known) ** 2), along))
+    valleys = np.stack([np.asarray(jax.lax.map(lambda t, known=known: jnp.sum(misfit(t, known) ** 2), along))
                         for known in (True, False)])
     generator = np.random.default_rng(0)
     ways = generator.normal(size=(starts, 6))
@@ -90,11 +96,11 @@ def compute(small: bool, report=print) -> dict[str, np.ndarray]:
     begin = np.concatenate([reach[:, None] * ways[:, :3], 0.4 * reach[:, None] * ways[:, 3:]], axis=1) / SCALES
     ends, paths = [], []
     for known in (True, False):
-        theta, path = jax.lax.map(lambda start: descend(start, known), jnp.asarray(begin, jnp.float32))
+        theta, path = jax.lax.map(lambda start, known=known: descend(start, known), jnp.asarray(begin, jnp.float32))
         ends.append(np.asarray(theta) * SCALES)
         paths.append(np.asarray(path))
         good = np.linalg.norm(ends[-1][:, :3], axis=1) < 0.02
-        report(f"gain {'known' if known else 'fitted'}: {good.mean():.0%} of the starts end within 2 cm, "
+        progress(f"gain {'known' if known else 'fitted'}: {good.mean():.0%} of the starts end within 2 cm, "
                f"the farthest of them from {100 * reach[good].max() if good.any() else 0:.0f} cm")
     information = fisher_information(body, array, np.asarray(turn0), PLACE, PERMITTIVITY, CONDUCTIVITY,
                                      10 ** (SNR_DB / 10))

@@ -17,9 +17,10 @@ import jax.numpy as jnp
 import numpy as np
 from script import run
 
+from august_jax.app.plotting import new_figure, save
 from august_jax.physics import PlanarArray, contrast, dipole_fields, interaction_matrix, sensing_channel, solve_krylov
 from august_jax.physics.mom import weighted_fields
-from august_jax.app.plotting import new_figure, save
+from august_jax.progress import Progress
 from august_jax.scene import procedural_airframe, rotation_from_euler
 
 PLACE = np.array([3.0, 4.5, 2.5])
@@ -39,14 +40,14 @@ def parts_of(positions: np.ndarray, rotors: np.ndarray, cell_m: float) -> np.nda
     return part
 
 
-def compute(small: bool, report=print) -> dict[str, np.ndarray]:
+def compute(small: bool, progress: Progress = print) -> dict[str, np.ndarray]:
     """Sensitivities of the cells (N,) and of the parts (P,), root mean squares over attitudes."""
     cell_m, poses = (0.022, 3) if small else (0.012, 12)
     array = PlanarArray(16, 4, 3e9)
     drone = procedural_airframe("quad_x", half_wheelbase_m=0.25)
     cells = drone.cells(cell_m, 0.002)
     part = parts_of(cells.positions, drone.rotor_axes_m, cell_m)
-    report(f"quad_x: {cells.count} cells of {1e3 * cell_m:g} mm, {poses} attitudes; cells of "
+    progress(f"quad_x: {cells.count} cells of {1e3 * cell_m:g} mm, {poses} attitudes; cells of "
            + ", ".join(f"{name}: {np.sum(part == index)}" for index, name in enumerate(PARTS)))
     chi = contrast(3.0, 5e-3, 3e9).astype(jnp.complex64)
     single = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), cells)
@@ -77,7 +78,7 @@ def compute(small: bool, report=print) -> dict[str, np.ndarray]:
         cell_values.append(np.asarray(by_cell(turn) / size))
         without = [channel(turn, jnp.asarray(part != index, jnp.float32)) for index in range(len(PARTS))]
         part_values.append([float(jnp.linalg.norm(whole - each) / size) for each in without])
-        report(f"attitude {pose + 1}/{poses}: " + ", ".join(
+        progress(f"attitude {pose + 1}/{poses}: " + ", ".join(
             f"{name} {value:.0%}" for name, value in zip(PARTS, part_values[-1])))
     material = np.asarray(cells.fill) * np.asarray(cells.volumes)
     return {"positions": np.asarray(cells.positions), "part": part,

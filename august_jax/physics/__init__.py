@@ -6,7 +6,12 @@ from august_jax.physics.cells import Cells
 from august_jax.physics.channel import SOLVERS, sensing_channel, sensing_channels
 from august_jax.physics.green import coupling_matrix, dipole_fields, dyadic_green, path_difference
 from august_jax.physics.information import (
-    Spread, fisher_information, mean_position_error, position_bound, tilt_bound, unknown_gain_position_bound,
+    Spread,
+    fisher_information,
+    mean_position_error,
+    position_bound,
+    tilt_bound,
+    unknown_gain_position_bound,
     without_gain,
 )
 from august_jax.physics.krylov import KrylovSolution, solve_krylov

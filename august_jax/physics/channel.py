@@ -30,8 +30,16 @@ from august_jax.arrays import Array, ArrayLike
 from august_jax.physics.array import AntennaArray, PlanarArray, wavenumber
 from august_jax.physics.cells import Cells
 from august_jax.physics.checks import (
-    check_apart, check_cells, check_contrast, check_ends, check_frequency, edges_and_fills, is_concrete, settled,
-    settled_cells, warn_of_coarse_cells,
+    check_apart,
+    check_cells,
+    check_contrast,
+    check_ends,
+    check_frequency,
+    edges_and_fills,
+    is_concrete,
+    settled,
+    settled_cells,
+    warn_of_coarse_cells,
 )
 from august_jax.physics.green import dipole_fields
 from august_jax.physics.krylov import differentiable_once, moving_channel, solve_moving

@@ -93,7 +93,7 @@ def test_gradients_in_antennas_and_tones_agree_with_differences():
     value = jax.jit(lambda step, hertz: heard(step, hertz, "mom"))
     for solver in ("mom", "krylov"):
         with jax.enable_x64(True):
-            slopes = jax.jit(jax.grad(lambda step, hertz: heard(step, hertz, solver), (0, 1)))(0.0, 0.0)
+            slopes = jax.jit(jax.grad(lambda step, hertz, solver=solver: heard(step, hertz, solver), (0, 1)))(0.0, 0.0)
             for slope, (step, hertz) in zip(slopes, ((1e-6, 0.0), (0.0, 1e3)), strict=True):
                 high, low = (float(value(sign * step, sign * hertz)) for sign in (1.0, -1.0))
                 expected = (high - low) / (2.0 * (step + hertz))

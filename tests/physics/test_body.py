@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 from lattices import cross, turned
 
-from august_jax.physics import (
-    AntennaArray, PlanarArray, alike, body_channel, contrast, factor_body, sensing_channel,
-)
+from august_jax.physics import AntennaArray, PlanarArray, alike, body_channel, contrast, factor_body, sensing_channel
 from august_jax.physics.body import cache_folder
 
 ARRAY = PlanarArray(8, 4, 3e9)

@@ -7,8 +7,18 @@ import pytest
 from lattices import cross
 
 from august_jax.physics import (
-    AntennaArray, PlanarArray, body_channel, contrast, factor_body, fisher_information, mean_position_error,
-    position_bound, sensing_channel, tilt_bound, unknown_gain_position_bound, without_gain,
+    AntennaArray,
+    PlanarArray,
+    body_channel,
+    contrast,
+    factor_body,
+    fisher_information,
+    mean_position_error,
+    position_bound,
+    sensing_channel,
+    tilt_bound,
+    unknown_gain_position_bound,
+    without_gain,
 )
 from august_jax.physics.information import KNOWN_GAIN, Spread, error_covariance
 

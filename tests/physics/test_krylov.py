@@ -9,7 +9,13 @@ from lattices import cross
 from august_jax.physics import PlanarArray, interaction_matrix, sensing_channel, sensing_channels
 from august_jax.physics.green import dipole_fields
 from august_jax.physics.krylov import (
-    TOLERANCE, _blockwise, _local_factor, moving_channel, solve_krylov, solve_moving, stationary_channel,
+    TOLERANCE,
+    _blockwise,
+    _local_factor,
+    moving_channel,
+    solve_krylov,
+    solve_moving,
+    stationary_channel,
 )
 from august_jax.physics.mom import solve_dense, weighted_fields
 

@@ -49,20 +49,24 @@ def aperture_skeleton(
     Returns:
         Indices (K,) and the interpolation matrix (N_b, K), float64.
     """
+    from threadpoolctl import threadpool_limits
+
     k = wavenumber(frequency_hz)
     elements = array.positions - array.positions.mean(axis=0)
-    count = _SOURCES
-    # The problem is symmetric under complex conjugation (a mirrored body), hence a real basis.
-    basis, _ = spanned(_sampled(elements, k, radius_m, nearest_m, count), _TOLERANCE)
-    while 2 * count < _A_RANK * basis.shape[1]:
-        count *= 2
+    # LAPACK's eigensolver works in small steps: threads that wait for each other make it up to ten times slower.
+    with threadpool_limits(1):
+        count = _SOURCES
+        # The problem is symmetric under complex conjugation (a mirrored body), hence a real basis.
         basis, _ = spanned(_sampled(elements, k, radius_m, nearest_m, count), _TOLERANCE)
-    chosen = pivots(basis)
-    return chosen, basis @ np.linalg.inv(basis[chosen])
+        while 2 * count < _A_RANK * basis.shape[1]:
+            count *= 2
+            basis, _ = spanned(_sampled(elements, k, radius_m, nearest_m, count), _TOLERANCE)
+        chosen = pivots(basis)
+        return chosen, basis @ np.linalg.inv(basis[chosen])
 
 
 def _sampled(elements, k, radius_m, nearest_m, count):
-    """Real and imaginary parts (N_b, 2 count) of the elements' fields at random places, phases to the body's centre out.
+    """Real and imaginary parts (N_b, 2 count) of the elements' fields at random places, less the centre's phases.
 
     The nearest distance and the surface of the ball are the worst case; nothing beyond varies faster.
     """

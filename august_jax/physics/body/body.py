@@ -28,11 +28,18 @@ from august_jax.arrays import Array, ArrayLike
 from august_jax.physics.array import AntennaArray, PlanarArray, wavenumber
 from august_jax.physics.body.aperture import Aperture, aperture_skeleton
 from august_jax.physics.checks import (
-    check_band, check_contrast, check_ends, check_finite, check_nearest, check_rotation, coarseness,
-    is_concrete, settled, warn_of_coarse_cells,
+    check_band,
+    check_contrast,
+    check_ends,
+    check_finite,
+    check_nearest,
+    check_rotation,
+    coarseness,
+    is_concrete,
+    settled,
+    warn_of_coarse_cells,
 )
 from august_jax.physics.green import dipole_fields_about, path_difference
-
 
 CHECKS = (3.5 + 0.05j, 0.2, 7.0, 9.0, 14.0, 24.0, 40.0, 4.0 + 4.0j, 2.0 + 12.0j, 14.0 + 12.0j, 2.0 + 40.0j)
 """Contrasts at which a body's error is measured, between its nodes first; at 3 GHz 12j is a conductivity of 2 S/m."""

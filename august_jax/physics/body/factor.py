@@ -35,7 +35,12 @@ from august_jax.physics.body.cache import Factors, cached
 from august_jax.physics.body.spans import pivots, spanned
 from august_jax.physics.cells import Cells
 from august_jax.physics.checks import (
-    check_cells, check_frequency, coarseness, edges_and_fills, is_concrete, warn_of_coarse_cells,
+    check_cells,
+    check_frequency,
+    coarseness,
+    edges_and_fills,
+    is_concrete,
+    warn_of_coarse_cells,
 )
 from august_jax.physics.green import dyadic_green, radial_factors
 from august_jax.physics.mom import own_blocks
