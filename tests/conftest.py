@@ -8,40 +8,22 @@ annotation does not allow; one that tries how the package itself refuses such a 
 """
 
 import os
+import pkgutil
 import tempfile
 from importlib.util import find_spec
+from pathlib import Path
 
 import pytest
 
-CHECKED = (
-    "august_jax.app",
-    "august_jax.data",
-    "august_jax.evaluation",
-    "august_jax.files",
-    "august_jax.models",
-    "august_jax.physics",
-    "august_jax.pipeline",
-    "august_jax.scene.airframes",
-    "august_jax.scene.cloud",
-    "august_jax.scene.families",
-    "august_jax.scene.lattice",
-    "august_jax.scene.mesh_files",
-    "august_jax.scene.pose",
-    "august_jax.scene.rotors",
-    "august_jax.scene.scenario",
-    "august_jax.scene.trajectory",
-    "august_jax.schemes",
-    "august_jax.signal",
-    "august_jax.streams",
-    "august_jax.tracking",
-    "august_jax.training",
-)
-"""Modules whose annotations are checked, each with all below it. Configurations check themselves, and say it better."""
+PACKAGE = Path(__file__).parents[1] / "august_jax"
+UNCHECKED = {"config"}
+"""Of the package's parts: configurations check their values themselves, and say it better."""
 
 if os.environ.get("AUGUST_CHECK_TYPES", "1") != "0" and find_spec("beartype"):
     from jaxtyping import install_import_hook
 
-    install_import_hook(CHECKED, "typecheck.checked")
+    parts = {part.name for part in pkgutil.iter_modules([str(PACKAGE)])} - UNCHECKED
+    install_import_hook([f"august_jax.{part}" for part in sorted(parts)], "typecheck.checked")
 
 # so that no test reads or leaves files in the user's own
 os.environ.setdefault("AUGUST_CACHE", tempfile.mkdtemp(prefix="august-cache-"))

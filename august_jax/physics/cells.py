@@ -33,7 +33,7 @@ class Cells(NamedTuple):
     centroids: Float[Array, "*batch n 3"] | None = None
 
     @property
-    def count(self) -> int:
+    def count(self) -> int:  # type: ignore[override]  # of cells, not tuple's
         """Number of cells N."""
         return jnp.shape(self.positions)[-2]
 

@@ -94,7 +94,7 @@ def sensing_channel(
     channels = []
     for row, tone in zip(rows, tones, strict=True):
         # A frequency that is differentiated is inside a trace already and cannot be a constant of another.
-        solve = _channel if isinstance(tone, float) else _channel.__wrapped__
+        solve = _channel if isinstance(tone, float) else _channel.__wrapped__  # type: ignore[attr-defined]
         channels.append(solve(array, receiver, cells, jnp.asarray(row), solver, tone))
     return jnp.stack(channels)
 

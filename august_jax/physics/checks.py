@@ -66,7 +66,7 @@ def settled_cells(cells: Cells) -> Cells:
 def check_frequency(name: str, hertz: object) -> float:
     """A positive, finite number of Hz, as a float."""
     try:
-        value = float(hertz)  # type: ignore[arg-type]
+        value = float(hertz)
     except (TypeError, ValueError):
         raise ValueError(f"{name}: got {hertz!r}; give a frequency in Hz, e.g. 3e9") from None
     if isinstance(hertz, str) or not 0.0 < value < math.inf:

@@ -98,7 +98,7 @@ def factor_bodies(
             raise ValueError("cells: are traced; factor the body outside jit, grad and vmap, and pass it in")
         cells = check_cells(cells)
         plain.append(Cells(*(None if part is None else np.asarray(part, np.float64) for part in cells)))
-        edges, fills = edges_and_fills(plain[-1])
+        edges, fills = edges_and_fills(plain[-1])  # type: ignore[misc]  # concrete by now
         warn_of_coarse_cells(edges, fills, None, wavenumber(max(tones)))
         worst = int(np.argmax(coarseness(edges, fills)))
         coarsest.append((float(edges[worst]), float(fills[worst])))
@@ -116,9 +116,9 @@ def factor_bodies(
         from threadpoolctl import threadpool_limits
 
         with threadpool_limits(cores // workers), ThreadPoolExecutor(workers) as pool:
-            factors = list(pool.map(lambda job: _cached(*job, float(nearest_m), cache), jobs))
+            factors = list(pool.map(lambda job: _cached(job[0], job[1], float(nearest_m), cache), jobs))
     else:
-        factors = [_cached(*job, float(nearest_m), cache) for job in jobs]
+        factors = [_cached(cells, tone, float(nearest_m), cache) for cells, tone in jobs]
     count = len(tones)
     return [
         _joined(factors[row * count : (row + 1) * count], tones, single, radius, float(nearest_m), cells.count, *cell)
