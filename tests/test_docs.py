@@ -40,8 +40,19 @@ def spans(page: str) -> list[str]:
     return [span.replace("\\|", "|").replace("\n", " ") for span in re.findall(r"`([^`]+)`", plain)]
 
 
+@pytest.fixture
+def schemes():
+    """The registry, in which an example may put a scheme of its own, as it was."""
+    from august_jax.schemes import SCHEMES
+
+    before = dict(SCHEMES)
+    yield SCHEMES
+    SCHEMES.clear()
+    SCHEMES.update(before)
+
+
 @pytest.mark.parametrize("page", RUN)
-def test_every_example_of_a_page_runs_in_order(page):
+def test_every_example_of_a_page_runs_in_order(schemes, page):
     names: dict = {}
     for block in blocks(page, "python"):
         exec(compile(block, f"{page}: {block.splitlines()[0]}", "exec"), names)

@@ -121,10 +121,11 @@ PRESETS: dict[str, Preset] = {
         "trained in two runs: 0.118 m, MDE 0.032, WD -16.0 dB; five real drones in one run: 0.138 m)",
     ),
     "paper": Preset(
-        summary="the paper's numbers, to the letter; one GPU",
+        summary="the paper's settings, its misprints corrected; one GPU",
         config=_paper(),
         command=_command("paper", "august_runs/paper --seed 1"),
-        time="simulate: five to six minutes for the channels on two CPU cores; train: not measured",
+        time="simulate: five to six minutes for the channels alone on two CPU cores (benchmarks/simulator.py, "
+        "--parts set); train: not measured",
         expected="not known: it was never trained at its full scale",
     ),
 }
