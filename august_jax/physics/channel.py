@@ -18,7 +18,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
-from functools import partial
 from typing import Literal, get_args
 
 import jax
@@ -94,7 +93,7 @@ def sensing_channel(
     channels = []
     for row, tone in zip(rows, tones, strict=True):
         # A frequency that is differentiated is inside a trace already and cannot be a constant of another.
-        solve = _channel if isinstance(tone, float) else _channel.__wrapped__  # type: ignore[attr-defined]
+        solve = _channel if isinstance(tone, float) else _solved
         channels.append(solve(array, receiver, cells, jnp.asarray(row), solver, tone))
     return jnp.stack(channels)
 
@@ -122,8 +121,8 @@ def _checked(array, cells, contrast, frequencies_hz, receiver):
     else:
         check_contrast(contrast, ((), (count,)), f"a scalar or ({count},), one value a cell")
         rows = [contrast] * len(tones)
-    sizes = edges_and_fills(cells)
-    if sizes is not None:
+    if is_concrete(cells):
+        sizes = edges_and_fills(cells)
         for row, tone in zip(rows, tones, strict=True):
             warn_of_coarse_cells(*sizes, row, wavenumber(tone))
     return cells, rows, tones
@@ -193,8 +192,7 @@ def _microbatch(count: int, dtype) -> int:
     return int(np.clip(0.25 * free // each, 1, 16))
 
 
-@partial(jax.jit, static_argnames=("solver", "frequency_hz"))
-def _channel(array, receiver, cells, contrast, solver, frequency_hz):
+def _solved(array, receiver, cells, contrast, solver, frequency_hz):
     k = wavenumber(frequency_hz)
     cells = jax.tree.map(jnp.asarray, cells)
     dtype = cells.positions.dtype
@@ -212,6 +210,9 @@ def _channel(array, receiver, cells, contrast, solver, frequency_hz):
     else:
         channel = k**2 * fields[-1].T @ _POLARIZATIONS[solver](cells, contrast, fields[0], k)
     return channel if receiver is not None else 0.5 * (channel + channel.T)
+
+
+_channel = jax.jit(_solved, static_argnames=("solver", "frequency_hz"))
 
 
 def _mom(cells: Cells, contrast, fields, k):

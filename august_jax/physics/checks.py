@@ -249,9 +249,7 @@ def coarseness(edge_m: ArrayLike, fill: ArrayLike) -> ArrayLike:
     return wanted / found
 
 
-def edges_and_fills(cells: Cells) -> tuple[np.ndarray, np.ndarray] | None:
-    """Edges [m] and fills (N,) of concrete cells, else None."""
-    if not is_concrete(cells):
-        return None
+def edges_and_fills(cells: Cells) -> tuple[np.ndarray, np.ndarray]:
+    """Edges [m] and fills (N,) of concrete cells."""
     volumes = np.asarray(cells.volumes)
     return np.cbrt(volumes), np.broadcast_to(np.asarray(cells.fill), volumes.shape)

@@ -98,7 +98,7 @@ def factor_bodies(
             raise ValueError("cells: are traced; factor the body outside jit, grad and vmap, and pass it in")
         cells = check_cells(cells)
         plain.append(Cells(*(None if part is None else np.asarray(part, np.float64) for part in cells)))
-        edges, fills = edges_and_fills(plain[-1])  # type: ignore[misc]  # concrete by now
+        edges, fills = edges_and_fills(plain[-1])
         warn_of_coarse_cells(edges, fills, None, wavenumber(max(tones)))
         worst = int(np.argmax(coarseness(edges, fills)))
         coarsest.append((float(edges[worst]), float(fills[worst])))
