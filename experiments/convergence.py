@@ -32,27 +32,47 @@ SITES = ("centroid", "centre")
 
 def compute(small: bool, progress: Progress = print) -> dict[str, np.ndarray]:
     """Relative differences to the finest lattice (fields at, size, permittivity), root mean squares over attitudes."""
-    sizes_mm, poses = ((14.0, 10.0, 7.0, 5.0), 2) if small else ((14.0, 10.0, 7.0, 5.0, 4.0), 4)
+    sizes_mm, poses = ((14.0, 10.0, 7.0), 2) if small else ((14.0, 10.0, 7.0, 5.0, 4.0), 4)
     array = PlanarArray(16, 4, 3e9)
     drone = procedural_airframe("quad_x", half_wheelbase_m=0.15)
     generator = np.random.default_rng(0)
-    angles = [np.append(np.deg2rad(generator.uniform(-20, 20, 2)), generator.uniform(-np.pi, np.pi))
-              for _ in range(poses)]
+    angles = [
+        np.append(np.deg2rad(generator.uniform(-20, 20, 2)), generator.uniform(-np.pi, np.pi)) for _ in range(poses)
+    ]
     channels, counts, volumes = [], [], []
     for size in sizes_mm:
         began = time.perf_counter()
         cells = drone.cells(1e-3 * size, SKIN_M)
         single = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), cells)
-        solve = jax.jit(lambda body, turn, chi: sensing_channel(
-            array, body.moved(turn, jnp.asarray(PLACE, jnp.float32)), chi, solver="krylov"))
-        channels.append([[[np.asarray(solve(body, jnp.asarray(rotation_from_euler(*turn), jnp.float32),
-                                            contrast(permittivity, 5e-3, 3e9).astype(jnp.complex64)))
-                           for turn in angles] for permittivity in PERMITTIVITIES]
-                         for body in (single, at_centres(single, 1e-3 * size))])
+        solve = jax.jit(
+            lambda body, turn, chi: sensing_channel(
+                array, body.moved(turn, jnp.asarray(PLACE, jnp.float32)), chi, solver="krylov"
+            )
+        )
+        channels.append(
+            [
+                [
+                    [
+                        np.asarray(
+                            solve(
+                                body,
+                                jnp.asarray(rotation_from_euler(*turn), jnp.float32),
+                                contrast(permittivity, 5e-3, 3e9).astype(jnp.complex64),
+                            )
+                        )
+                        for turn in angles
+                    ]
+                    for permittivity in PERMITTIVITIES
+                ]
+                for body in (single, at_centres(single, 1e-3 * size))
+            ]
+        )
         counts.append(cells.count)
         volumes.append(float(np.sum(np.asarray(cells.fill) * np.asarray(cells.volumes))))
-        progress(f"{size:g} mm: {cells.count} cells, {1e6 * volumes[-1]:.1f} cm^3 of material, "
-               f"{time.perf_counter() - began:.0f} s")
+        progress(
+            f"{size:g} mm: {cells.count} cells, {1e6 * volumes[-1]:.1f} cm^3 of material, "
+            f"{time.perf_counter() - began:.0f} s"
+        )
     channels = np.array(channels).swapaxes(0, 1)  # (fields at, size, permittivity, pose, N_b, N_b)
     finest = channels[0, -1]
     norm = np.linalg.norm(finest, axis=(-2, -1))
@@ -62,11 +82,21 @@ def compute(small: bool, progress: Progress = print) -> dict[str, np.ndarray]:
     rms = [np.sqrt(np.mean(value**2, axis=-1)) for value in (plain, shape)]
     for kind, difference, free in zip(SITES, *rms):
         for size, row, apart in zip(sizes_mm, difference, free):
-            progress(f"fields at the {kind}, {size:g} mm: " + ", ".join(
-                f"permittivity {value:g}: {off:.1%} ({left:.1%} but for a gain)"
-                for value, off, left in zip(PERMITTIVITIES, row, apart)))
-    return {"sizes_mm": np.array(sizes_mm), "cells": np.array(counts), "material_m3": np.array(volumes),
-            "permittivities": np.array(PERMITTIVITIES), "difference": rms[0], "but_for_a_gain": rms[1]}
+            progress(
+                f"fields at the {kind}, {size:g} mm: "
+                + ", ".join(
+                    f"permittivity {value:g}: {off:.1%} ({left:.1%} but for a gain)"
+                    for value, off, left in zip(PERMITTIVITIES, row, apart)
+                )
+            )
+    return {
+        "sizes_mm": np.array(sizes_mm),
+        "cells": np.array(counts),
+        "material_m3": np.array(volumes),
+        "permittivities": np.array(PERMITTIVITIES),
+        "difference": rms[0],
+        "but_for_a_gain": rms[1],
+    }
 
 
 def at_centres(cells, edge_m: float):
@@ -83,8 +113,14 @@ def draw(results: dict[str, np.ndarray], path: Path) -> None:
         for at, (kind, line) in enumerate(zip(SITES, ("-", "--"))):
             shown = slice(None, -1) if at == 0 else slice(None)
             for index, value in enumerate(results["permittivities"]):
-                axis.plot(sizes[shown], 100 * results[name][at, shown, index], line, marker="o", color=f"C{index}",
-                          label=f"permittivity {value:g}, {kind}")
+                axis.plot(
+                    sizes[shown],
+                    100 * results[name][at, shown, index],
+                    line,
+                    marker="o",
+                    color=f"C{index}",
+                    label=f"permittivity {value:g}, {kind}",
+                )
         axis.set(xlabel="cell [mm]", title=title, ylim=(0, None))
         axis.grid(True, alpha=0.3)
     axes[0].set_ylabel(f"difference of H to that of {results['sizes_mm'][-1]:g} mm cells [%]")

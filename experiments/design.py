@@ -74,13 +74,16 @@ def compute(small: bool, progress: Progress = print) -> dict[str, np.ndarray]:
 
     def bounds(plane, turns, places):  # [m], of each pose
         array = antennas(plane)
-        return jax.lax.map(lambda pose: unknown_gain_position_bound(
-            body, array, *pose, PERMITTIVITY, CONDUCTIVITY, SNR), (turns, places))
+        return jax.lax.map(
+            lambda pose: unknown_gain_position_bound(body, array, *pose, PERMITTIVITY, CONDUCTIVITY, SNR),
+            (turns, places),
+        )
 
     def root_mean_square(plane, turns, places):
         return jnp.sqrt(jnp.mean(bounds(plane, turns, places) ** 2))
 
     measure = jax.jit(root_mean_square)
+
     def crowding(plane):  # antennas nearer than half a wavelength would couple, which point dipoles do not know
         gap = jnp.sqrt(jnp.sum((plane[:, None] - plane) ** 2, -1) + jnp.eye(len(plane)))
         return jnp.sum(jnp.maximum(1.0 - gap / HALF_WAVE_M, 0.0) ** 2)
@@ -118,10 +121,18 @@ def compute(small: bool, progress: Progress = print) -> dict[str, np.ndarray]:
         match = jnp.abs(jnp.einsum("smn,mn->s", shifted, here.conj()))
         return match / jnp.linalg.norm(here) / jnp.linalg.norm(shifted, axis=(1, 2))
 
-    cut = [[np.asarray(likeness(jnp.asarray(places, jnp.float32), axis)) for axis in (toward, across)]
-           for places in chosen.values()]
-    return {"names": np.array(list(chosen)), "places_m": np.stack(list(chosen.values())), "course_m": np.array(course),
-            "bounds_m": np.array(list(table.values())), "shifts_m": shifts, "likeness": np.array(cut)}
+    cut = [
+        [np.asarray(likeness(jnp.asarray(places, jnp.float32), axis)) for axis in (toward, across)]
+        for places in chosen.values()
+    ]
+    return {
+        "names": np.array(list(chosen)),
+        "places_m": np.stack(list(chosen.values())),
+        "course_m": np.array(course),
+        "bounds_m": np.array(list(table.values())),
+        "shifts_m": shifts,
+        "likeness": np.array(cut),
+    }
 
 
 def draw(results: dict[str, np.ndarray], path: Path) -> None:
@@ -131,18 +142,32 @@ def draw(results: dict[str, np.ndarray], path: Path) -> None:
     axes = fig.subplots(2, 2)
     for name, colour, places, bound in zip(names, colours, results["places_m"], results["bounds_m"]):
         last = name == "descended"
-        axes[0, 0].scatter(*(100 * places.T), s=60 if last else 25, color=colour, label=name, zorder=3 if last else 2,
-                           edgecolors="k" if last else "none")
+        axes[0, 0].scatter(
+            *(100 * places.T),
+            s=60 if last else 25,
+            color=colour,
+            label=name,
+            zorder=3 if last else 2,
+            edgecolors="k" if last else "none",
+        )
         axes[0, 1].axhline(100 * bound, color=colour, ls="-" if last else "--", label=f"{name}: {100 * bound:.2g} cm")
     axes[0, 0].set(xlabel="x [cm]", ylabel="z [cm]", aspect="equal", title="sixteen antennas in an aperture")
     axes[0, 1].plot(100 * results["course_m"], color="k", label="descent, on its own poses")
-    axes[0, 1].set(xlabel="step", ylabel="bound on the position error [cm]", yscale="log",
-                   title=f"bound at {10 * np.log10(SNR):.0f} dB (lines: poses not seen)")
+    axes[0, 1].set(
+        xlabel="step",
+        ylabel="bound on the position error [cm]",
+        yscale="log",
+        title=f"bound at {10 * np.log10(SNR):.0f} dB (lines: poses not seen)",
+    )
     for axis, cut, title in zip(axes[1], range(2), ("along the line of sight", "across it")):
         for name, colour, curves in zip(names, colours, results["likeness"]):
             axis.plot(100 * results["shifts_m"], curves[cut], color=colour, lw=2 if name == "descended" else 1.2)
-        axis.set(xlabel="shift of the drone [cm]", ylabel="likeness of the channels", title=f"ambiguity {title}",
-                 ylim=(0, 1.02))
+        axis.set(
+            xlabel="shift of the drone [cm]",
+            ylabel="likeness of the channels",
+            title=f"ambiguity {title}",
+            ylim=(0, 1.02),
+        )
     for axis in axes.flat:
         axis.grid(True, alpha=0.3)
     axes[0, 0].legend(fontsize=8, loc="center left", bbox_to_anchor=(1.02, 0.5))

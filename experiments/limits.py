@@ -26,8 +26,12 @@ from august_jax.scene import procedural_airframe, rotation_from_euler
 DIRECTION = np.array([0.5, 0.7, 0.51]) / np.linalg.norm([0.5, 0.7, 0.51])
 CARRIER = 3e9
 ARRAYS = {"16x1": (16, 1), "16x2": (16, 2), "16x4": (16, 4), "16x16": (16, 16)}
-COMBS = {"1 tone": (1, 0.0), "4 tones, 20 MHz": (4, 20e6), "4 tones, 100 MHz": (4, 100e6),
-         "8 tones, 100 MHz": (8, 100e6)}
+COMBS = {
+    "1 tone": (1, 0.0),
+    "4 tones, 20 MHz": (4, 20e6),
+    "4 tones, 100 MHz": (4, 100e6),
+    "8 tones, 100 MHz": (8, 100e6),
+}
 SNRS_DB = np.arange(0.0, 42.0, 2.0)
 
 
@@ -57,15 +61,22 @@ def compute(small: bool, progress: Progress = print) -> dict[str, np.ndarray]:
         position.append(np.stack([position_bound(f).reshape(ranges, attitudes) for f in by_snr], -1))
         tilts = [tilt_bound(f, turns[:, :, 2]).reshape(ranges, attitudes) for f in by_snr]
         tilt.append(np.rad2deg(np.stack(tilts, -1)))
-        near = 1e2 * np.sqrt(np.mean(position[-1][0, :, 10] ** 2))
-        progress(f"{label}: {near:.2g} cm at {ranges_m[0]:g} m and 20 dB "
-               f"({time.perf_counter() - began:.0f} s)")
+        progress(
+            f"{label}: {1e2 * np.sqrt(np.mean(position[-1][0, :, 10] ** 2)):.2g} cm at {ranges_m[0]:g} m and 20 dB "
+            f"({time.perf_counter() - began:.0f} s)"
+        )
 
     def rms(values):  # over attitudes
         return np.sqrt(np.mean(np.square(values), axis=2))
 
-    return {"cases": np.array([label for label, *_ in cases]), "ranges_m": ranges_m, "snrs_db": SNRS_DB,
-            "position_m": rms(np.stack(position)), "tilt_deg": rms(np.stack(tilt)), "cells": np.array(cells.count)}
+    return {
+        "cases": np.array([label for label, *_ in cases]),
+        "ranges_m": ranges_m,
+        "snrs_db": SNRS_DB,
+        "position_m": rms(np.stack(position)),
+        "tilt_deg": rms(np.stack(tilt)),
+        "cells": np.array(cells.count),
+    }
 
 
 def draw(results: dict[str, np.ndarray], path: Path) -> None:

@@ -15,6 +15,7 @@ august_jax.physics.information.
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import jax
@@ -22,8 +23,8 @@ import jax.numpy as jnp
 import numpy as np
 from script import run
 
-from august_jax import config as configuration
 from august_jax.app.plotting import new_figure, save
+from august_jax.config import preset
 from august_jax.physics import (
     Parameters,
     PlanarArray,
@@ -45,8 +46,8 @@ SCALES = np.array([0.05, 0.05, 0.05, 0.1, 0.1, 0.1])
 
 def compute(small: bool, progress: Progress = print) -> dict[str, np.ndarray]:
     """Valleys along the line of sight, and errors before and after the descent from every start."""
-    config = configuration.preset("laptop")
-    cell_m, starts, steps = (0.03, 48, 30) if small else (0.016, 192, 60)
+    config = preset("laptop")
+    cell_m, starts, steps = (0.03, 24, 30) if small else (0.016, 192, 60)
     array = PlanarArray(16, 4, 3e9)
     cells = procedural_airframe("quad_x", half_wheelbase_m=0.25).cells(cell_m, 0.002)
     progress(f"quad_x: {cells.count} cells; {starts} starts of {steps} steps, with the gain known and fitted")
@@ -56,12 +57,13 @@ def compute(small: bool, progress: Progress = print) -> dict[str, np.ndarray]:
 
     def channel(scaled):
         step = SCALES * scaled
-        return parameter_channel(body, array, Parameters(step[:3], step[3:]), turn0, place0, PERMITTIVITY,
-                                 CONDUCTIVITY)[0]
+        away = Parameters(step[:3], step[3:])
+        return parameter_channel(body, array, away, turn0, place0, PERMITTIVITY, CONDUCTIVITY)
 
     truth = channel(jnp.zeros(6))
-    seen = observe(jax.random.key(0), truth[None], place0, array=config.array, signal=config.signal,
-                   region=config.region, snr_db=SNR_DB).estimated_channel[0]
+    seen = observe(
+        jax.random.key(0), truth, place0, array=config.array, signal=config.signal, region=config.region, snr_db=SNR_DB
+    ).estimated_channel
     seen = seen / jnp.linalg.norm(truth)
 
     def misfit(theta, known):
@@ -87,8 +89,9 @@ def compute(small: bool, progress: Progress = print) -> dict[str, np.ndarray]:
     sight = PLACE / np.linalg.norm(PLACE)
     offsets = np.linspace(-0.2, 0.2, 161)
     along = jnp.asarray(offsets[:, None] * np.append(sight, [0, 0, 0]) / SCALES, jnp.float32)
-    valleys = np.stack([np.asarray(jax.lax.map(lambda t, known=known: jnp.sum(misfit(t, known) ** 2), along))
-                        for known in (True, False)])
+    valleys = np.stack(
+        [np.asarray(jax.lax.map(lambda t, known=k: jnp.sum(misfit(t, known) ** 2), along)) for k in (True, False)]
+    )
     generator = np.random.default_rng(0)
     ways = generator.normal(size=(starts, 6))
     ways /= np.linalg.norm(ways[:, :3], axis=1, keepdims=True)
@@ -96,16 +99,26 @@ def compute(small: bool, progress: Progress = print) -> dict[str, np.ndarray]:
     begin = np.concatenate([reach[:, None] * ways[:, :3], 0.4 * reach[:, None] * ways[:, 3:]], axis=1) / SCALES
     ends, paths = [], []
     for known in (True, False):
-        theta, path = jax.lax.map(lambda start, known=known: descend(start, known), jnp.asarray(begin, jnp.float32))
+        theta, path = jax.lax.map(partial(descend, known=known), jnp.asarray(begin, jnp.float32), batch_size=8)
         ends.append(np.asarray(theta) * SCALES)
         paths.append(np.asarray(path))
         good = np.linalg.norm(ends[-1][:, :3], axis=1) < 0.02
-        progress(f"gain {'known' if known else 'fitted'}: {good.mean():.0%} of the starts end within 2 cm, "
-               f"the farthest of them from {100 * reach[good].max() if good.any() else 0:.0f} cm")
-    information = fisher_information(body, array, np.asarray(turn0), PLACE, PERMITTIVITY, CONDUCTIVITY,
-                                     10 ** (SNR_DB / 10))
-    return {"offsets_m": offsets, "valleys": valleys, "starts_m": reach, "ends": np.stack(ends),
-            "paths": np.stack(paths), "sight": sight, "bound_m": position_bound(information)}
+        progress(
+            f"gain {'known' if known else 'fitted'}: {good.mean():.0%} of the starts end within 2 cm, "
+            f"the farthest of them from {100 * reach[good].max() if good.any() else 0:.0f} cm"
+        )
+    information = fisher_information(
+        body, array, np.asarray(turn0), PLACE, PERMITTIVITY, CONDUCTIVITY, 10 ** (SNR_DB / 10)
+    )
+    return {
+        "offsets_m": offsets,
+        "valleys": valleys,
+        "starts_m": reach,
+        "ends": np.stack(ends),
+        "paths": np.stack(paths),
+        "sight": sight,
+        "bound_m": position_bound(information),
+    }
 
 
 def draw(results: dict[str, np.ndarray], path: Path) -> None:
@@ -116,16 +129,21 @@ def draw(results: dict[str, np.ndarray], path: Path) -> None:
         left.semilogy(100 * results["offsets_m"], valley, label=label, color=color)
     left.set(xlabel="offset in range [cm]", ylabel="relative misfit", title="valleys along the line of sight")
     for end, label, color in zip(results["ends"], ("gain known", "gain fitted"), ("#c8641b", "#0a6ebd")):
-        middle.loglog(100 * results["starts_m"], 100 * np.linalg.norm(end[:, :3], axis=1), ".", label=label,
-                      color=color)
+        middle.loglog(
+            100 * results["starts_m"], 100 * np.linalg.norm(end[:, :3], axis=1), ".", label=label, color=color
+        )
     middle.axhline(100 * float(results["bound_m"]), color="0.4", ls="--", label="bound, gain unknown")
     middle.plot([0.5, 30], [0.5, 30], color="0.8", lw=1)
     middle.set(xlabel="distance of the start [cm]", ylabel="distance of the end [cm]", title="where descents end")
-    for end, path_, label, color in zip(results["ends"], results["paths"], ("gain known", "gain fitted"),
-                                        ("#c8641b", "#0a6ebd")):
+    for end, path_, label, color in zip(
+        results["ends"], results["paths"], ("gain known", "gain fitted"), ("#c8641b", "#0a6ebd")
+    ):
         right.loglog(path_[:, -1], 100 * np.linalg.norm(end[:, :3], axis=1), ".", label=label, color=color)
-    right.set(xlabel="relative misfit at the end", ylabel="distance of the end [cm]",
-              title="the misfit tells which start to believe")
+    right.set(
+        xlabel="relative misfit at the end",
+        ylabel="distance of the end [cm]",
+        title="the misfit tells which start to believe",
+    )
     for axis in (left, middle, right):
         axis.grid(True, which="both", alpha=0.3)
         axis.legend(fontsize=8)

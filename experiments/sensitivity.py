@@ -47,8 +47,10 @@ def compute(small: bool, progress: Progress = print) -> dict[str, np.ndarray]:
     drone = procedural_airframe("quad_x", half_wheelbase_m=0.25)
     cells = drone.cells(cell_m, 0.002)
     part = parts_of(cells.positions, drone.rotor_axes_m, cell_m)
-    progress(f"quad_x: {cells.count} cells of {1e3 * cell_m:g} mm, {poses} attitudes; cells of "
-           + ", ".join(f"{name}: {np.sum(part == index)}" for index, name in enumerate(PARTS)))
+    progress(
+        f"quad_x: {cells.count} cells of {1e3 * cell_m:g} mm, {poses} attitudes; cells of "
+        + ", ".join(f"{name}: {np.sum(part == index)}" for index, name in enumerate(PARTS))
+    )
     chi = contrast(3.0, 5e-3, 3e9).astype(jnp.complex64)
     single = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), cells)
     generator = np.random.default_rng(0)
@@ -57,8 +59,10 @@ def compute(small: bool, progress: Progress = print) -> dict[str, np.ndarray]:
     @jax.jit
     def by_cell(turn):
         moved = single.moved(turn, jnp.asarray(PLACE, jnp.float32))
-        fields = weighted_fields(moved, dipole_fields(
-            moved.sites(), jnp.asarray(array.positions, jnp.float32), jnp.asarray([0.0, 0.0, 1.0]), k))
+        fields = weighted_fields(
+            moved,
+            dipole_fields(moved.sites(), jnp.asarray(array.positions, jnp.float32), jnp.asarray([0.0, 0.0, 1.0]), k),
+        )
         solution = solve_krylov(interaction_matrix(moved, k), chi, fields)
         total = (solution.fields @ solution.combinations.conj().T).reshape(moved.count, 3, -1)
         gram = jnp.einsum("nam,nbm->nab", total, total.conj())
@@ -66,8 +70,9 @@ def compute(small: bool, progress: Progress = print) -> dict[str, np.ndarray]:
 
     @jax.jit
     def channel(turn, present):
-        return sensing_channel(array, single.moved(turn, jnp.asarray(PLACE, jnp.float32)), chi * present,
-                               solver="krylov")
+        return sensing_channel(
+            array, single.moved(turn, jnp.asarray(PLACE, jnp.float32)), chi * present, solver="krylov"
+        )
 
     cell_values, part_values = [], []
     for pose in range(poses):
@@ -78,13 +83,18 @@ def compute(small: bool, progress: Progress = print) -> dict[str, np.ndarray]:
         cell_values.append(np.asarray(by_cell(turn) / size))
         without = [channel(turn, jnp.asarray(part != index, jnp.float32)) for index in range(len(PARTS))]
         part_values.append([float(jnp.linalg.norm(whole - each) / size) for each in without])
-        progress(f"attitude {pose + 1}/{poses}: " + ", ".join(
-            f"{name} {value:.0%}" for name, value in zip(PARTS, part_values[-1])))
+        progress(
+            f"attitude {pose + 1}/{poses}: "
+            + ", ".join(f"{name} {value:.0%}" for name, value in zip(PARTS, part_values[-1]))
+        )
     material = np.asarray(cells.fill) * np.asarray(cells.volumes)
-    return {"positions": np.asarray(cells.positions), "part": part,
-            "cells": np.sqrt(np.mean(np.square(cell_values), axis=0)),
-            "parts": np.sqrt(np.mean(np.square(part_values), axis=0)),
-            "share": np.array([material[part == index].sum() for index in range(len(PARTS))]) / material.sum()}
+    return {
+        "positions": np.asarray(cells.positions),
+        "part": part,
+        "cells": np.sqrt(np.mean(np.square(cell_values), axis=0)),
+        "parts": np.sqrt(np.mean(np.square(part_values), axis=0)),
+        "share": np.array([material[part == index].sum() for index in range(len(PARTS))]) / material.sum(),
+    }
 
 
 def draw(results: dict[str, np.ndarray], path: Path) -> None:
