@@ -36,37 +36,24 @@ def compute(small: bool, progress: Progress = print) -> dict[str, np.ndarray]:
     array = PlanarArray(16, 4, 3e9)
     drone = procedural_airframe("quad_x", half_wheelbase_m=0.15)
     generator = np.random.default_rng(0)
-    angles = [
-        np.append(np.deg2rad(generator.uniform(-20, 20, 2)), generator.uniform(-np.pi, np.pi)) for _ in range(poses)
-    ]
+    tilts_deg, headings = zip(
+        *((generator.uniform(-20, 20, 2), generator.uniform(-np.pi, np.pi)) for _ in range(poses))
+    )
+    turns = jnp.asarray(rotation_from_euler(*np.deg2rad(tilts_deg).T, np.array(headings)), jnp.float32)
+    contrasts = [contrast(permittivity, 5e-3, 3e9).astype(jnp.complex64) for permittivity in PERMITTIVITIES]
+
+    @jax.jit
+    def solve(body, turn, chi):
+        return sensing_channel(array, body.moved(turn, jnp.asarray(PLACE, jnp.float32)), chi, solver="krylov")
+
     channels, counts, volumes = [], [], []
     for size in sizes_mm:
         began = time.perf_counter()
         cells = drone.cells(1e-3 * size, SKIN_M)
         single = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), cells)
-        solve = jax.jit(
-            lambda body, turn, chi: sensing_channel(
-                array, body.moved(turn, jnp.asarray(PLACE, jnp.float32)), chi, solver="krylov"
-            )
-        )
-        channels.append(
-            [
-                [
-                    [
-                        np.asarray(
-                            solve(
-                                body,
-                                jnp.asarray(rotation_from_euler(*turn), jnp.float32),
-                                contrast(permittivity, 5e-3, 3e9).astype(jnp.complex64),
-                            )
-                        )
-                        for turn in angles
-                    ]
-                    for permittivity in PERMITTIVITIES
-                ]
-                for body in (single, at_centres(single, 1e-3 * size))
-            ]
-        )
+        both = (single, at_centres(single, 1e-3 * size))
+        solved = [[[solve(body, turn, chi) for turn in turns] for chi in contrasts] for body in both]
+        channels.append(np.asarray(solved))
         counts.append(cells.count)
         volumes.append(float(np.sum(np.asarray(cells.fill) * np.asarray(cells.volumes))))
         progress(
