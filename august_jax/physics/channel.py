@@ -121,7 +121,7 @@ def _checked(array, cells, contrast, frequencies_hz, receiver):
     else:
         check_contrast(contrast, ((), (count,)), f"a scalar or ({count},), one value a cell")
         rows = [contrast] * len(tones)
-    if is_concrete(cells):
+    if is_concrete((cells.volumes, cells.fill)):  # they may be constants of a trace in which the body moves
         sizes = edges_and_fills(cells)
         for row, tone in zip(rows, tones, strict=True):
             warn_of_coarse_cells(*sizes, row, wavenumber(tone))

@@ -250,6 +250,6 @@ def coarseness(edge_m: ArrayLike, fill: ArrayLike) -> ArrayLike:
 
 
 def edges_and_fills(cells: Cells) -> tuple[np.ndarray, np.ndarray]:
-    """Edges [m] and fills (N,) of concrete cells."""
+    """Edges [m] and fills (N,) of cells whose volumes and fill are concrete."""
     volumes = np.asarray(cells.volumes)
     return np.cbrt(volumes), np.broadcast_to(np.asarray(cells.fill), volumes.shape)

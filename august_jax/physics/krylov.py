@@ -77,7 +77,7 @@ def solve_krylov(
     contrast: ArrayLike,
     fields: Inexact[Array, "rows r"],
     *,
-    tolerance: float = TOLERANCE,
+    tolerance: ArrayLike = TOLERANCE,
     steps: int = _STEPS,
 ) -> KrylovSolution:
     """Solve the coupled system by COCR on compressed right-hand sides, by LU where that does not converge.
@@ -113,7 +113,7 @@ def solve_coupled(
     contrast: jax.Array,
     fields: jax.Array,
     *,
-    tolerance: float = TOLERANCE,
+    tolerance: ArrayLike = TOLERANCE,
     steps: int = _STEPS,
 ) -> KrylovSolution:
     """The solution where K' is given by what it does.

@@ -157,9 +157,10 @@ def coarse_body():
     lambda: sensing_channel(ARRAY, COARSE, 4.0, frequencies_hz=[2.9e9]),
     lambda: sensing_channels(ARRAY, jax.tree.map(lambda part: np.asarray(part)[None], COARSE), np.array([4.0])),
     lambda: jax.jit(lambda chi: sensing_channel(ARRAY, COARSE, chi))(4.0),
+    lambda: jax.jit(lambda place: sensing_channel(ARRAY, COARSE.moved(EYE, place), 4.0))(PLACE),
     coarse_body,
     lambda: body_channel(factor_body(TWO, 3e9), ARRAY, EYE, PLACE, 30.0),
-], ids=["one", "tones", "batch", "jitted", "factored", "body"])
+], ids=["one", "tones", "batch", "jitted", "moving", "factored", "body"])
 def test_every_route_that_meets_coarse_cells_warns_with_the_number(call):
     with pytest.warns(UserWarning, match=r"cells of .* mm make .* a wavelength in .*, of .* wanted; use .* mm or less"):
         call()
