@@ -19,7 +19,13 @@ from august_jax.physics.green import inner
 
 
 def wavenumber(frequency_hz: ArrayLike) -> ArrayLike:
-    """k = 2 pi f / c [rad/m] of f [Hz]; of the argument's type and shape."""
+    """k = 2 pi f / c [rad/m] of f [Hz]; of the argument's type and shape.
+
+    Raises:
+        ValueError: a plain number that is not positive.
+    """
+    if isinstance(frequency_hz, (int, float)):
+        check_frequency("frequency_hz", frequency_hz)
     return 2.0 * np.pi * frequency_hz / SPEED_OF_LIGHT
 
 

@@ -20,6 +20,7 @@ from august_jax.physics import (
     sensing_channel,
     sensing_channels,
     unknown_gain_position_bound,
+    wavenumber,
 )
 from august_jax.physics.body import aperture_skeleton
 from august_jax.physics.body.body import CHECKS
@@ -81,6 +82,7 @@ REFUSED = [
     (lambda body: factor_body(CELLS, [3e9, np.nan]), "frequency_hz: got nan"),
     (lambda body: factor_body(CELLS, 3e9, nearest_m=np.nan), "nearest_m: nan m"),
     (lambda body: contrast(3.0, 0.01, 0.0), "frequency_hz: got 0.0"),
+    (lambda body: wavenumber(-3e9), "frequency_hz: got -3000000000.0"),
     (lambda body: contrast(np.nan, 0.01, 3e9), "permittivity: holds NaN"),
     (lambda body: contrast(3.0, np.inf, 3e9), "conductivity_s_m: holds NaN or infinity"),
     # arrays, and carriers that disagree
