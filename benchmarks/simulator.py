@@ -320,7 +320,8 @@ def flights_set(args) -> list[dict]:
     factoring = time.perf_counter() - start
     fast = jax.jit(
         jax.vmap(
-            lambda body, turn, place: simulated_channel(config, body, turn, place, PERMITTIVITY, CONDUCTIVITY), (None, 0, 0)
+            lambda body, turn, place: simulated_channel(config, body, turn, place, PERMITTIVITY, CONDUCTIVITY),
+            (None, 0, 0),
         )
     )
     start = time.perf_counter()

@@ -100,7 +100,7 @@ LAWS = {
 
 
 def test_every_study_has_a_law():
-    assert sorted(LAWS) == STUDIES
+    assert sorted(LAWS) == STUDIES, "a study in experiments/ needs a law in LAWS above: what its numbers must show"
 
 
 @pytest.mark.parametrize("study", STUDIES)
