@@ -67,6 +67,14 @@ def test_what_nobody_will_read_is_not_stored(targets, folder, tmp_path):
         data.TrainingBatches(data.Dataset(tmp_path), override(CONFIG, ["train.batch=8", "train.reobserve=false"]))
 
 
+def test_materials_that_ask_too_much_of_the_cells_are_told_with_the_figure():
+    """Channels are compiled, where no contrast is looked at: both ends of the range are, when targets are prepared."""
+    config = override(CONFIG, ["target.permittivity=[1.5,40]", "region.permittivity_max=40",
+                               "target.airframes=[quad_x]"])
+    with pytest.warns(UserWarning, match=r"make 0\.97 a wavelength in their material, of 8\.8 wanted"):
+        data.prepare_targets(config)
+
+
 def test_room_is_checked_before_the_work(tmp_path, monkeypatch):
     said = []
     monkeypatch.setattr(shutil, "disk_usage", lambda path: shutil._ntuple_diskusage(10, 9, 1000))

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -17,7 +18,16 @@ from jaxtyping import Complex, Float
 from august_jax.arrays import Array, ArrayLike
 from august_jax.config import Config, TargetConfig
 from august_jax.physics import (
-    Body, Cells, PlanarArray, alike, body_channel, contrast, factor_bodies, factor_body, sensing_channel,
+    Body,
+    Cells,
+    PlanarArray,
+    alike,
+    body_channel,
+    contrast,
+    factor_bodies,
+    factor_body,
+    judge_contrast,
+    sensing_channel,
 )
 from august_jax.progress import Progress, silent
 from august_jax.scene.airframes import Airframe, resolve_airframe
@@ -81,7 +91,11 @@ def lattices_of(airframes: Sequence[Airframe], target: TargetConfig) -> list[tup
 
 
 def prepare_targets(config: Config, progress: Progress = silent) -> list[Target]:
-    """Airframes, lattices and, for ``mom``, factored bodies (minutes for the first time, then from the cache)."""
+    """Airframes, lattices and, for ``mom``, factored bodies (minutes for the first time, then from the cache).
+
+    Warns where the cells, or the reduction of a body, are too coarse for an end of the ranges of material, with the
+    figure.
+    """
     target, nearest = config.target, nearest_distance(config)
     airframes = [resolve_airframe(name, target.half_wheelbase_m) for name in target.airframes]
     lattices, bodies = lattices_of(airframes, target), []
@@ -90,6 +104,9 @@ def prepare_targets(config: Config, progress: Progress = silent) -> list[Target]
     if config.data.solver == "mom":
         tones = config.array.tones_hz or config.array.frequency_hz
         bodies = factor_bodies([cells for cells, _ in lattices], tones, nearest_m=nearest)
+        for body in bodies:  # channels are compiled, where contrasts are not looked at any more
+            for permittivity, conductivity in itertools.product(target.permittivity, target.conductivity_s_m):
+                judge_contrast(body, np.asarray(contrast_of(config, permittivity, conductivity)))
     sizes = [np.prod(body.weights.shape) for body in bodies]
     if bodies and max(sizes) < _UNEVEN * np.mean(sizes):
         bodies = alike(bodies)

@@ -173,13 +173,18 @@ def body_channel(
     tones = len(body.frequencies_hz)
     check_contrast(contrast, ((), (tones,)), f"a scalar or ({tones},), one value a tone")
     if is_concrete(contrast):
-        _judge_contrast(body, contrast)
+        judge_contrast(body, contrast)
     return _body_channel(body, array, receiver, settled("rotation", rotation), settled("translation", translation),
                          settled("contrast", contrast))
 
 
-def _judge_contrast(body: Body, contrast) -> None:
-    """Warn of cells, and of a reduction, that the contrast asks too much of."""
+def judge_contrast(body: Body, contrast: ArrayLike | Sequence) -> None:
+    """Warn of cells, and of a reduction, that a contrast asks too much of, with the figure.
+
+    Args:
+        body: what it is asked of.
+        contrast: chi, a scalar or one value a tone; numbers, not traced ones.
+    """
     values = [complex(value) for value in np.ravel(contrast)]
     for tone, frequency in enumerate(body.frequencies_hz):
         warn_of_coarse_cells(body.edge_m, body.fill, values[tone % len(values)], wavenumber(frequency))
