@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all: written aside, flushed to the disk, renamed; and damaged ones, told as such."""
+"""Files that appear whole or not at all: written aside, flushed to disk, renamed; and damaged ones, told as such."""
 
 from __future__ import annotations
 

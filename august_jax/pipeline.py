@@ -25,9 +25,8 @@ from august_jax.schemes import SCHEMES, Answer, Setting, Slots
 from august_jax.signal import Coefficients
 from august_jax.tracking import Followed, Kalman, Predictor, Track, follow
 
-__all__ = [
-    "SHIPPED", "Networks", "Scenario", "Track", "draw_scenario", "load_networks", "pose_scenario", "run_files", "sense",
-]
+__all__ = ["SHIPPED", "Networks", "Scenario", "Track", "draw_scenario", "load_networks", "pose_scenario",
+           "run_files", "sense"]  # fmt: skip
 
 SHIPPED = Path(__file__).parent / "weights" / "laptop"
 """Weights that come with the package."""
@@ -43,8 +42,9 @@ def run_files(run: str | Path | None = None) -> tuple[Path, Path]:
     files = folder / "config.yaml", folder / "weights.npz"
     for path in files:
         if not path.is_file():
-            raise ValueError(f"run: {path} is not there; give a run that august train wrote, or use the shipped "
-                             "weights")
+            raise ValueError(
+                f"run: {path} is not there; give a run that august train wrote, or use the shipped weights"
+            )
     return files
 
 
@@ -63,8 +63,16 @@ def load_networks(run: str | Path | None = None) -> Networks:
 
 
 @streams.pin
-def sense(networks: Networks, config: Config, scenario: Scenario, *, seed: int, snr_db: float,
-          predictor: Predictor | None = None, progress: Progress = silent) -> Track:
+def sense(
+    networks: Networks,
+    config: Config,
+    scenario: Scenario,
+    *,
+    seed: int,
+    snr_db: float,
+    predictor: Predictor | None = None,
+    progress: Progress = silent,
+) -> Track:
     """Simulate the echo of every slot and reconstruct the craft from it.
 
     In the first three slots the predicted position misses the true one uniformly within ``region.threshold_m`` along
@@ -84,33 +92,52 @@ def sense(networks: Networks, config: Config, scenario: Scenario, *, seed: int, 
         ValueError: an SNR beyond what single precision can tell.
     """
     if not abs(snr_db) <= configuration.SNR_LIMIT_DB:
-        raise ValueError(f"snr_db: {snr_db:g} dB is beyond {configuration.SNR_LIMIT_DB:g} dB; the weights know "
-                         f"{config.signal.snr_db[0]:g} to {config.signal.snr_db[1]:g} dB")
+        raise ValueError(
+            f"snr_db: {snr_db:g} dB is beyond {configuration.SNR_LIMIT_DB:g} dB; the weights know "
+            f"{config.signal.snr_db[0]:g} to {config.signal.snr_db[1]:g} dB"
+        )
     progress("computing the full-wave channels")
-    channels = channels_along(config, scenario.airframe, scenario.rotations, scenario.positions, scenario.permittivity,
-                              scenario.conductivity)
+    channels = channels_along(
+        config, scenario.airframe, scenario.rotations, scenario.positions, scenario.permittivity, scenario.conductivity
+    )
     progress("estimating the channels and reconstructing the clouds")
     threshold = config.region.threshold_m
     detected = jnp.asarray(scenario.positions, jnp.float32) + jax.random.uniform(
-        streams.key(seed, "sense.detection"), scenario.positions.shape, minval=-threshold, maxval=threshold)
+        streams.key(seed, "sense.detection"), scenario.positions.shape, minval=-threshold, maxval=threshold
+    )
     predictor = Kalman.for_flight(config.flight) if predictor is None else predictor
-    seen = jax.tree.map(lambda leaf: np.asarray(leaf, np.float64), _followed(
-        networks, streams.key(seed, "sense.slot"), channels, detected, config, predictor, snr_db))
+    seen = jax.tree.map(
+        lambda leaf: np.asarray(leaf, np.float64),
+        _followed(networks, streams.key(seed, "sense.slot"), channels, detected, config, predictor, snr_db),
+    )
     points = config.target.points
     return Track(
-        time_s=np.asarray(scenario.time_s), position=scenario.positions, rotation=scenario.rotations,
-        permittivity=scenario.permittivity, conductivity=scenario.conductivity,
+        time_s=np.asarray(scenario.time_s),
+        position=scenario.positions,
+        rotation=scenario.rotations,
+        permittivity=scenario.permittivity,
+        conductivity=scenario.conductivity,
         truth=scenario.surface(streams.key(seed, "sense.label"), points),
         resampled=scenario.surface(streams.key(seed, "sense.resampling"), points),
-        predicted=seen.predicted, snr_db=seen.snr_db, points=seen.found.cloud.points,
-        point_permittivity=seen.found.cloud.permittivity, point_conductivity=seen.found.cloud.conductivity,
+        predicted=seen.predicted,
+        snr_db=seen.snr_db,
+        points=seen.found.cloud.points,
+        point_permittivity=seen.found.cloud.permittivity,
+        point_conductivity=seen.found.cloud.conductivity,
         normal_estimate=seen.found.normal,
     )
 
 
 @partial(jax.jit, static_argnames=("config", "predictor"))
-def _followed(networks: Networks, key: jax.Array, channels: jax.Array, detected: jax.Array, config: Config,
-              predictor: Predictor, snr_db: ArrayLike) -> Followed:
+def _followed(
+    networks: Networks,
+    key: jax.Array,
+    channels: jax.Array,
+    detected: jax.Array,
+    config: Config,
+    predictor: Predictor,
+    snr_db: ArrayLike,
+) -> Followed:
     """The loop over slots, in which the networks find the craft; compiled once."""
     ask = SCHEMES["august"].prepare(Setting(config, networks, None, key))
     assert ask is not None  # it needs networks alone

@@ -89,16 +89,21 @@ def members(parent: jax.Array, numbers: Array) -> jax.Array:
 def pinned() -> Iterator[None]:
     """What JAX is set to while samples are made: the same numbers come out under any setting of the user's."""
     with ExitStack() as settings:
-        for setting in (jax.enable_x64(False), jax.threefry_partitionable(True),
-                        jax.default_prng_impl(_IMPLEMENTATION)):
+        for setting in (
+            jax.enable_x64(False),
+            jax.threefry_partitionable(True),
+            jax.default_prng_impl(_IMPLEMENTATION),
+        ):
             settings.enter_context(setting)
         yield
 
 
 def pin(function: Callable[P, R]) -> Callable[P, R]:
     """``function`` under :func:`pinned`."""
+
     @wraps(function)
     def inside(*args: P.args, **kwargs: P.kwargs) -> R:
         with pinned():
             return function(*args, **kwargs)
+
     return inside

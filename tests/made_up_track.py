@@ -3,8 +3,8 @@
 import jax
 import numpy as np
 
-from august_jax.tracking import Track
 from august_jax.scene.airframes import procedural_airframe
+from august_jax.tracking import Track
 
 
 def made_up_track(slots: int = 3, points: int = 400, noise_m: float = 0.01) -> Track:

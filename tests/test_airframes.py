@@ -176,18 +176,21 @@ def test_cell_size_for_a_budget(crafts):
     assert np.log(size / 0.024) / np.log(1.05) == pytest.approx(round(np.log(size / 0.024) / np.log(1.05)))
 
 
-@pytest.mark.parametrize("ask, message", [
-    (lambda craft: craft.cell_size_for(0, 0.012, 0.002), "max_cells=0: .* at least 8"),
-    (lambda craft: craft.cell_size_for(1, 0.012, 0.002), "max_cells=1: .* at least 8"),
-    (lambda craft: craft.cell_size_for(8, 0.012, 0.002), "max_cells=8: the finest cells that fit are 6"),
-    (lambda craft: craft.cells(0.7, 0.002), "cell_m=0.7: quad_x, .* 1 cells.* give 0.17 m or less"),
-    (lambda craft: craft.cell_size_for(200, 0.7, 0.002), "cell_m=0.7: .* 1 cells"),
-    (lambda craft: craft.cells(1e9, 0.002), "no cell holds material"),
-    (lambda craft: craft.cells(1e-6, 1e-7), "cell_m=1e-06: .* samples, .* give 0.0017 m or more"),
-    (lambda craft: craft.cell_size_for(200, 1e-6, 1e-7), "cell_m=1e-06: .* samples"),
-    (lambda craft: craft.scaled(float("nan")), "half_wheelbase_m=nan"),
-    (lambda craft: procedural_airframe("hexa", 1e-9), "half_wheelbase_m=1e-09"),
-])
+@pytest.mark.parametrize(
+    "ask, message",
+    [
+        (lambda craft: craft.cell_size_for(0, 0.012, 0.002), "max_cells=0: .* at least 8"),
+        (lambda craft: craft.cell_size_for(1, 0.012, 0.002), "max_cells=1: .* at least 8"),
+        (lambda craft: craft.cell_size_for(8, 0.012, 0.002), "max_cells=8: the finest cells that fit are 6"),
+        (lambda craft: craft.cells(0.7, 0.002), "cell_m=0.7: quad_x, .* 1 cells.* give 0.17 m or less"),
+        (lambda craft: craft.cell_size_for(200, 0.7, 0.002), "cell_m=0.7: .* 1 cells"),
+        (lambda craft: craft.cells(1e9, 0.002), "no cell holds material"),
+        (lambda craft: craft.cells(1e-6, 1e-7), "cell_m=1e-06: .* samples, .* give 0.0017 m or more"),
+        (lambda craft: craft.cell_size_for(200, 1e-6, 1e-7), "cell_m=1e-06: .* samples"),
+        (lambda craft: craft.scaled(float("nan")), "half_wheelbase_m=nan"),
+        (lambda craft: procedural_airframe("hexa", 1e-9), "half_wheelbase_m=1e-09"),
+    ],
+)
 def test_sizes_that_make_no_body_are_refused(crafts, ask, message):
     with pytest.raises(ValueError, match=message):
         ask(crafts["quad_x"])
@@ -276,8 +279,9 @@ def test_units_and_axes(craft_file, crafts):
     path = craft_file("stl", transform)
     for unit in ("mm", "0.001", 0.001):
         craft = load_airframe(path, unit=unit, up="-y", forward="-z")
-        np.testing.assert_allclose(np.sort(craft.mesh.vertices, axis=0), np.sort(crafts["hexa"].mesh.vertices, axis=0),
-                                   atol=2e-6)
+        np.testing.assert_allclose(
+            np.sort(craft.mesh.vertices, axis=0), np.sort(crafts["hexa"].mesh.vertices, axis=0), atol=2e-6
+        )
         assert craft.source.arguments() == {"unit": 0.001, "up": "-y", "forward": "-z"}
     large = load_airframe(path, unit="mm", up="-y", forward="-z", half_wheelbase_m=0.5)
     assert large.mesh.extents[2] == pytest.approx(2 * crafts["hexa"].mesh.extents[2], rel=1e-3)
@@ -287,8 +291,9 @@ def test_units_and_axes(craft_file, crafts):
 def test_a_dirty_mesh_is_cleaned(tmp_path):
     path = tmp_path / "dirty.obj"
     grid = "".join(f"v {x} {y} 0\n" for y in range(6) for x in range(6))
-    quads = "".join(f"f {6 * y + x + 1} {6 * y + x + 2} {6 * y + x + 8} {6 * y + x + 7}\n"
-                    for y in range(5) for x in range(5))
+    quads = "".join(
+        f"f {6 * y + x + 1} {6 * y + x + 2} {6 * y + x + 8} {6 * y + x + 7}\n" for y in range(5) for x in range(5)
+    )
     # a vertex given again, one that no face uses, a face that uses the first, one given twice, one without area
     extra = "v 0 0 0\nv 9 9 9\nf 37 2 8\nf 2 8 1\nf 1 1 2\n"
     path.write_text("mtllib missing.mtl\nusemtl gone\n" + grid + quads + extra)
@@ -305,18 +310,21 @@ def test_many_faces_without_area_are_told(tmp_path):
         assert len(load_airframe(path).mesh.faces) == 1
 
 
-@pytest.mark.parametrize("arguments, message", [
-    ({"unit": "furlong"}, "unit='furlong'"),
-    ({"unit": "-1"}, "unit='-1'"),
-    ({"unit": "nan"}, "unit='nan'"),
-    ({"up": "w"}, "up='w'"),
-    ({"forward": "+x"}, r"forward='\+x'"),
-    ({"up": "z", "forward": "-z"}, "perpendicular"),
-    ({"forward": "z"}, "give up too"),
-    ({"half_wheelbase_m": 0.0}, "half_wheelbase_m=0.0"),
-    ({"half_wheelbase_m": 1e6}, "half_wheelbase_m=1000000.0: wanted .* from 0.001 to 100"),
-    ({"half_wheelbase_m": float("nan")}, "half_wheelbase_m=nan"),
-])
+@pytest.mark.parametrize(
+    "arguments, message",
+    [
+        ({"unit": "furlong"}, "unit='furlong'"),
+        ({"unit": "-1"}, "unit='-1'"),
+        ({"unit": "nan"}, "unit='nan'"),
+        ({"up": "w"}, "up='w'"),
+        ({"forward": "+x"}, r"forward='\+x'"),
+        ({"up": "z", "forward": "-z"}, "perpendicular"),
+        ({"forward": "z"}, "give up too"),
+        ({"half_wheelbase_m": 0.0}, "half_wheelbase_m=0.0"),
+        ({"half_wheelbase_m": 1e6}, "half_wheelbase_m=1000000.0: wanted .* from 0.001 to 100"),
+        ({"half_wheelbase_m": float("nan")}, "half_wheelbase_m=nan"),
+    ],
+)
 def test_bad_arguments_are_named(craft_file, arguments, message):
     with pytest.raises(ValueError, match=message):
         load_airframe(craft_file("stl"), **arguments)

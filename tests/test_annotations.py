@@ -47,8 +47,11 @@ def test_there_are_edges_to_look_at():
 def test_public_edges_are_annotated(name):
     function = EDGES[name]
     signature = inspect.signature(function)
-    bare = [parameter.name for parameter in signature.parameters.values()
-            if parameter.annotation is parameter.empty and parameter.name not in ("self", "cls")]
+    bare = [
+        parameter.name
+        for parameter in signature.parameters.values()
+        if parameter.annotation is parameter.empty and parameter.name not in ("self", "cls")
+    ]
     if signature.return_annotation is signature.empty and not name.endswith(".__init__"):
         bare.append("return")
     assert not bare, f"{name}: no annotation for {', '.join(bare)}"

@@ -16,8 +16,9 @@ def copter(seed, tilt_deg, noise_m=0.0):
     rng = np.random.default_rng(seed)
     angle = rng.uniform(0, 2 * np.pi, COUNT)
     arm = np.pi / 4 + np.pi / 2 * rng.integers(0, 4, COUNT)
-    rings = np.stack([0.25 * np.cos(arm) + 0.1 * np.cos(angle), 0.25 * np.sin(arm) + 0.1 * np.sin(angle),
-                      np.full(COUNT, 0.03)], 1)
+    rings = np.stack(
+        [0.25 * np.cos(arm) + 0.1 * np.cos(angle), 0.25 * np.sin(arm) + 0.1 * np.sin(angle), np.full(COUNT, 0.03)], 1
+    )
     along = rng.uniform(-0.25, 0.25, COUNT)
     arms = np.stack([along * np.cos(arm), along * np.sin(arm), rng.uniform(-0.01, 0.01, COUNT)], 1)
     body = rng.uniform(-1, 1, (COUNT, 3)) * [0.08, 0.05, 0.03]
@@ -28,8 +29,7 @@ def copter(seed, tilt_deg, noise_m=0.0):
     tilt = np.deg2rad(tilt_deg)
     rotation = np.asarray(rotation_from_euler(tilt * np.cos(axis), tilt * np.sin(axis), rng.uniform(-3, 3)))
     offset = np.array([12.0, 20.0, 11.0])
-    return (jnp.asarray(points @ rotation.T + offset, jnp.float32), jnp.asarray(part == 0),
-            rotation[:, 2])
+    return (jnp.asarray(points @ rotation.T + offset, jnp.float32), jnp.asarray(part == 0), rotation[:, 2])
 
 
 def degrees_apart(first, second):

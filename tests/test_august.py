@@ -17,10 +17,21 @@ BATCH, POINTS = 4, 12
 
 
 def config(scheme="august", encoder="roi", frame="craft", **train):
-    model = replace(SMOKE.model, scheme=scheme, encoder=encoder, frame=frame, channel_features=12, encoder_features=16,
-                    latent=6, fourier=2, denoiser=(8, 8), steps=10)
-    return replace(SMOKE, array=replace(SMOKE.array, nx=5, nz=4), model=model,
-                   train=replace(SMOKE.train, points=8, **train))
+    model = replace(
+        SMOKE.model,
+        scheme=scheme,
+        encoder=encoder,
+        frame=frame,
+        channel_features=12,
+        encoder_features=16,
+        latent=6,
+        fourier=2,
+        denoiser=(8, 8),
+        steps=10,
+    )
+    return replace(
+        SMOKE, array=replace(SMOKE.array, nx=5, nz=4), model=model, train=replace(SMOKE.train, points=8, **train)
+    )
 
 
 def batch(size=20):
@@ -48,8 +59,12 @@ def networks(settings):
     return graphdef, jax.tree.map(lambda leaf: leaf + 0.1 * generator.normal(size=leaf.shape).astype("f"), state)
 
 
-SCHEMES = [("august", "roi", "craft"), ("noebd", "paper", "craft"), ("nolatent", "roi", "region"),
-           ("refchannel", "paper", "craft")]
+SCHEMES = [
+    ("august", "roi", "craft"),
+    ("noebd", "paper", "craft"),
+    ("nolatent", "roi", "region"),
+    ("refchannel", "paper", "craft"),
+]
 
 
 @pytest.mark.parametrize("scheme, encoder, frame", SCHEMES)
@@ -67,8 +82,11 @@ def test_the_loss_is_the_weighted_sum_and_reaches_every_parameter(scheme, encode
     expected = 0.9 * (terms["position"] + terms.get("signature", 0.0)) + 0.1 * terms["material"]
     expected += 0.01 * terms.get("latent", 0.0) + terms.get("reference", 0.0) + 0.5 * terms["readout"]
     np.testing.assert_allclose(loss, expected, rtol=1e-5)
-    silent = [jax.tree_util.keystr(path) for path, leaf in jax.tree_util.tree_leaves_with_path(gradient)
-              if not np.abs(leaf).max() > 0]
+    silent = [
+        jax.tree_util.keystr(path)
+        for path, leaf in jax.tree_util.tree_leaves_with_path(gradient)
+        if not np.abs(leaf).max() > 0
+    ]
     assert not silent
 
 
@@ -105,7 +123,8 @@ def test_the_latent_term_is_the_relative_entropy():
     mean, log_variance = jax.jit(lambda: model.posterior(model.see(*HEARD)))()
     exact = 0.5 * np.sum(np.exp(log_variance) + np.square(mean) - 1.0 - log_variance, axis=-1).mean()
     terms = jax.jit(jax.vmap(lambda key: model.loss(key, **batch())[1]["latent"]))(
-        jax.random.split(jax.random.key(0, impl="rbg"), 400))
+        jax.random.split(jax.random.key(0, impl="rbg"), 400)
+    )
     np.testing.assert_allclose(np.mean(terms), exact, atol=5 * np.std(terms) / np.sqrt(400))
 
 
@@ -147,12 +166,15 @@ def test_reconstruction_is_a_function_of_its_key():
     assert np.abs(one - clouds(1, steps=4)).max() > 0.1
 
 
-@pytest.mark.parametrize("options, message", [
-    ({"sampler": "euler"}, "sampler: unknown sampler 'euler'; choose dpm or ancestral"),
-    ({"steps": 11}, "sampler_steps: 11 .*2..10"),
-    ({"instants": (3,)}, r"instants: \(3,\) are steps of the sampler ancestral, not of 'dpm'"),
-    ({"sampler": "ancestral", "instants": (11,)}, r"instants: \(11,\) .*0..10"),
-])
+@pytest.mark.parametrize(
+    "options, message",
+    [
+        ({"sampler": "euler"}, "sampler: unknown sampler 'euler'; choose dpm or ancestral"),
+        ({"steps": 11}, "sampler_steps: 11 .*2..10"),
+        ({"instants": (3,)}, r"instants: \(3,\) are steps of the sampler ancestral, not of 'dpm'"),
+        ({"sampler": "ancestral", "instants": (11,)}, r"instants: \(11,\) .*0..10"),
+    ],
+)
 def test_a_sampler_that_does_not_fit_is_refused(options, message, unchecked):
     graphdef, state = create(config(), 0)
     with pytest.raises(ValueError, match=message):
@@ -164,8 +186,9 @@ def test_the_path_of_a_reconstruction_ends_in_the_reconstruction(frame):
     graphdef, state = networks(config(frame=frame))
 
     def clouds(instants):
-        return np.asarray(reconstruct(graphdef, state, jax.random.key(0), *HEARD, count=7, sampler="ancestral",
-                                      instants=instants))
+        return np.asarray(
+            reconstruct(graphdef, state, jax.random.key(0), *HEARD, count=7, sampler="ancestral", instants=instants)
+        )
 
     path = clouds((0, 4, 10))
     assert path.shape == (3, BATCH, 7, 5)
@@ -185,12 +208,15 @@ def test_the_reference_channel_is_centred_on_the_box():
     np.testing.assert_allclose(model.loss(-vector, data["heard"]), 4.0, rtol=1e-5)
 
 
-@pytest.mark.parametrize("scheme, change, message", [
-    ("refchannel", {"reference": None}, "reference: got None; the scheme 'refchannel' learns from"),
-    ("august", {"cloud": np.zeros((BATCH, 9, 3), "f")}, r"cloud: got shape \(4, 9, 3\)"),
-    ("august", {"predicted": np.zeros((1, 3), "f")}, r"predicted: .*must be \(4, 3\)"),
-    ("august", {"snr_db": np.zeros(3, "f")}, r"snr_db: .*must be \(4,\)"),
-])
+@pytest.mark.parametrize(
+    "scheme, change, message",
+    [
+        ("refchannel", {"reference": None}, "reference: got None; the scheme 'refchannel' learns from"),
+        ("august", {"cloud": np.zeros((BATCH, 9, 3), "f")}, r"cloud: got shape \(4, 9, 3\)"),
+        ("august", {"predicted": np.zeros((1, 3), "f")}, r"predicted: .*must be \(4, 3\)"),
+        ("august", {"snr_db": np.zeros(3, "f")}, r"snr_db: .*must be \(4,\)"),
+    ],
+)
 def test_a_wrong_batch_is_named(scheme, change, message):
     model = nnx.merge(*create(config(scheme), 0))
     with pytest.raises(ValueError, match=message):

@@ -56,8 +56,12 @@ def test_a_reading_as_a_vector_and_back():
     reading = Reading.of_cloud(flat_clouds()[0])
     vector = np.asarray(reading.vector())
     assert vector.shape == (6, READING_SIZE) == (6, 24) and reading.kind().shape == (6, KIND_SIZE)
-    for part, columns in (("place", slice(3)), ("material", slice(3, 5)), ("normal", slice(5, 8)),
-                          ("harmonics", slice(8, 24))):
+    for part, columns in (
+        ("place", slice(3)),
+        ("material", slice(3, 5)),
+        ("normal", slice(5, 8)),
+        ("harmonics", slice(8, 24)),
+    ):
         np.testing.assert_array_equal(vector[:, columns], getattr(reading, part))
     jax.tree.map(np.testing.assert_array_equal, Reading.from_vector(vector), reading)
 
@@ -96,8 +100,12 @@ def along_x(normal):
     shape = np.shape(normal)[:-1]
     harmonics = np.zeros((*shape, 16), np.float32)
     harmonics[..., 0] = 0.5
-    return Reading(np.zeros((*shape, 3), np.float32), np.zeros((*shape, 2), np.float32), jnp.asarray(normal, "f"),
-                   jnp.asarray(harmonics))
+    return Reading(
+        np.zeros((*shape, 3), np.float32),
+        np.zeros((*shape, 2), np.float32),
+        jnp.asarray(normal, "f"),
+        jnp.asarray(harmonics),
+    )
 
 
 def test_the_level_axes_are_the_smallest_turn_of_up_into_the_normal():
@@ -152,18 +160,22 @@ def test_a_whole_turn_of_the_cloud_turns_the_reading_alone():
     """Two craft of one shape at other places and tilts are one cloud in their frames, up to heading."""
     cloud, _, _ = flat_clouds(1)
     frame = CraftFrame(jnp.asarray(AHEAD), 1.0)
-    first, second = (np.asarray(jax.jit(lambda c: frame.into(c, frame.read(c)))(c))
-                     for c in (cloud, turned(cloud, turn_about("x", 0.3), 0.2)))
+    first, second = (
+        np.asarray(jax.jit(lambda c: frame.into(c, frame.read(c)))(c))
+        for c in (cloud, turned(cloud, turn_about("x", 0.3), 0.2))
+    )
     np.testing.assert_allclose(first[..., 2], second[..., 2], atol=1e-5)
-    np.testing.assert_allclose(np.hypot(first[..., 0], first[..., 1]), np.hypot(second[..., 0], second[..., 1]),
-                               atol=1e-5)
+    np.testing.assert_allclose(
+        np.hypot(first[..., 0], first[..., 1]), np.hypot(second[..., 0], second[..., 1]), atol=1e-5
+    )
 
 
 def test_arms_of_a_kind_coincide_in_the_craft_s_axes():
     """Two headings and two samples of one craft: its points come to lie on each other."""
     frame = CraftFrame(jnp.asarray(AHEAD), 4.0)
-    first, second = (np.asarray(frame.into(c, frame.read(c)))
-                     for c in (craft_cloud("hexa", 0.3, 1), craft_cloud("hexa", 1.1, 2)))
+    first, second = (
+        np.asarray(frame.into(c, frame.read(c))) for c in (craft_cloud("hexa", 0.3, 1), craft_cloud("hexa", 1.1, 2))
+    )
 
     def apart(a, b):
         return np.mean(np.min(np.linalg.norm(a[:, None, :2] - b[None, :, :2], axis=-1), axis=1))

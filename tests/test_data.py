@@ -32,8 +32,9 @@ def test_a_sample_depends_on_its_number_alone(folder, targets):
     stored = data.Dataset(folder).read(np.array([41, 3]))
     alone = data.generate(CONFIG, [3], targets)
     for name, value in alone.columns().items():
-        np.testing.assert_allclose(stored.columns()[name][1], value[0], rtol=1e-4, atol=1e-5 * np.abs(value).max(),
-                                   err_msg=name)
+        np.testing.assert_allclose(
+            stored.columns()[name][1], value[0], rtol=1e-4, atol=1e-5 * np.abs(value).max(), err_msg=name
+        )
 
 
 def test_a_sample_is_the_same_under_any_setting_of_jax(targets):
@@ -59,7 +60,7 @@ def test_what_nobody_will_read_is_not_stored(targets, folder, tmp_path):
     assert lean.observed is None
     for name, value in lean.columns().items():
         np.testing.assert_allclose(value, kept.columns()[name], rtol=1e-5, atol=1e-5 * np.abs(value).max())
-    for each, count in ((config, 20), (CONFIG, 48)):
+    for each in (config, CONFIG):
         place = tmp_path if each is config else folder
         stored = sum(path.stat().st_size for path in place.rglob("*.npy"))
         assert abs(stored - data.bytes_of(each)) < 200 * len(list(place.rglob("*.npy")))  # headers
@@ -69,8 +70,9 @@ def test_what_nobody_will_read_is_not_stored(targets, folder, tmp_path):
 
 def test_materials_that_ask_too_much_of_the_cells_are_told_with_the_figure():
     """Channels are compiled, where no contrast is looked at: both ends of the range are, when targets are prepared."""
-    config = override(CONFIG, ["target.permittivity=[1.5,40]", "region.permittivity_max=40",
-                               "target.airframes=[quad_x]"])
+    config = override(
+        CONFIG, ["target.permittivity=[1.5,40]", "region.permittivity_max=40", "target.airframes=[quad_x]"]
+    )
     with pytest.warns(UserWarning, match=r"make 0\.97 a wavelength in their material, of 8\.8 wanted"):
         data.prepare_targets(config)
 
@@ -99,8 +101,9 @@ def test_the_channel_is_that_of_the_cells_in_that_pose(targets):
 
 def test_the_paper_s_echo_lies_in_its_link_budget():
     """50 to 100 cm^3 of material and -3 to 30 dB from 10 to 40 dBm, so 12 to 15 dB in the middle."""
-    paper = override(preset("paper"), ["target.airframes=[quad_x]", "data.solver=local_field_born",
-                                       "signal.power_dbm=[25, 25]"])
+    paper = override(
+        preset("paper"), ["target.airframes=[quad_x]", "data.solver=local_field_born", "signal.power_dbm=[25, 25]"]
+    )
     targets = data.prepare_targets(paper)
     cells = targets[0].cells
     assert 50e-6 < np.sum(cells.fill * cells.volumes) < 100e-6
@@ -140,7 +143,7 @@ def test_shards_survive_a_kill_and_parts_make_the_whole(folder, tmp_path):
     np.testing.assert_array_equal(data.Dataset(tmp_path).read(places).observed.snr_db, whole["snr_db"])
 
 
-@pytest.mark.parametrize("text", ["[]", "{\"format\": 4}", "{", "\xff"])
+@pytest.mark.parametrize("text", ["[]", '{"format": 4}', "{", "\xff"])
 def test_a_damaged_manifest_is_named_and_made_again(folder, tmp_path, text):
     shutil.copytree(folder, tmp_path / "copy")
     (tmp_path / "copy" / "manifest.json").write_bytes(text.encode("latin-1"))
@@ -210,17 +213,30 @@ def test_the_manifest_is_json_that_says_what_is_there(folder):
     assert manifest["rows"] == 48 and manifest["shards"]["shard-00002"] == [40, 48]
 
 
-@pytest.mark.parametrize("places, words", [
-    (np.array([True, False]), "bool"), (np.array([0.5]), "float64"), (np.array([48]), "out of range"),
-    (np.array([-49]), "out of range"), (np.array([[1]]), "shape"),
-])
+@pytest.mark.parametrize(
+    "places, words",
+    [
+        (np.array([True, False]), "bool"),
+        (np.array([0.5]), "float64"),
+        (np.array([48]), "out of range"),
+        (np.array([-49]), "out of range"),
+        (np.array([[1]]), "shape"),
+    ],
+)
 def test_places_that_are_no_rows_are_refused(unchecked, folder, places, words):
     with pytest.raises(ValueError, match=f"places: .*{words}"):
         data.Dataset(folder).read(places)
 
 
-@pytest.mark.parametrize("meta", ["[1]", '{"rows": 3, "digest": "x", "arrays": {}}', '{"rows": [0, 20]}',
-                                  '{"rows": ["a", 2], "digest": "x", "arrays": {"flight": 3}}'])
+@pytest.mark.parametrize(
+    "meta",
+    [
+        "[1]",
+        '{"rows": 3, "digest": "x", "arrays": {}}',
+        '{"rows": [0, 20]}',
+        '{"rows": ["a", 2], "digest": "x", "arrays": {"flight": 3}}',
+    ],
+)
 def test_an_edited_shard_counts_as_missing(folder, tmp_path, meta):
     shutil.copytree(folder, tmp_path / "copy")
     (tmp_path / "copy" / "shard-00000" / "meta.json").write_text(meta)
@@ -228,7 +244,7 @@ def test_an_edited_shard_counts_as_missing(folder, tmp_path, meta):
         data.Dataset(tmp_path / "copy")
 
 
-def test_triangles_alone_unpack(unchecked, ):
+def test_triangles_alone_unpack(unchecked):
     whole = np.arange(9.0).reshape(3, 3) + np.arange(9.0).reshape(3, 3).T
     np.testing.assert_array_equal(data.unpack(data.pack(whole)), whole)
     with pytest.raises(ValueError, match="7 numbers"):

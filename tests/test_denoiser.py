@@ -24,8 +24,11 @@ def denoiser(widths=(8, 6), condition=3, embedding="paper"):
 
 def inputs(batch=4, points=7, condition=3):
     generator = np.random.default_rng(1)
-    return (generator.normal(size=(batch, points, 5)).astype(np.float32), generator.integers(1, 201, batch),
-            generator.normal(size=(batch, condition)).astype(np.float32))
+    return (
+        generator.normal(size=(batch, points, 5)).astype(np.float32),
+        generator.integers(1, 201, batch),
+        generator.normal(size=(batch, condition)).astype(np.float32),
+    )
 
 
 def sigmoid(x):
@@ -110,7 +113,9 @@ def test_log_snr_features_tell_the_first_steps_apart():
     for kind, width in (("paper", 5), ("log_snr", 13)):
         features = np.asarray(step_features(np.arange(1, 201), SCHEDULE, kind))
         assert features.shape == (200, width) and np.abs(features).max() <= 1.0 + 1e-6
-    apart = {kind: np.linalg.norm(np.diff(np.asarray(step_features(np.array([1, 2]), SCHEDULE, kind)), axis=0))
-             for kind in ("paper", "log_snr")}
+    apart = {
+        kind: np.linalg.norm(np.diff(np.asarray(step_features(np.array([1, 2]), SCHEDULE, kind)), axis=0))
+        for kind in ("paper", "log_snr")
+    }
     # s = 1 and 2 differ threefold in noise variance
     assert apart["paper"] < 0.02 and apart["log_snr"] > 0.3

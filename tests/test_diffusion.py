@@ -81,8 +81,10 @@ COUNT = 20_000
 
 
 def draw(name, denoise):
-    sampler = {"dpm": lambda key: dpm(key, denoise, (1, COUNT, 3), SCHEDULE, 10),
-               "ancestral": lambda key: ancestral(key, denoise, (1, COUNT, 3), SCHEDULE)}[name]
+    sampler = {
+        "dpm": lambda key: dpm(key, denoise, (1, COUNT, 3), SCHEDULE, 10),
+        "ancestral": lambda key: ancestral(key, denoise, (1, COUNT, 3), SCHEDULE),
+    }[name]
     return np.asarray(jax.jit(sampler)(jax.random.key(3)))[0]
 
 

@@ -101,8 +101,9 @@ def test_the_centre_is_the_bearing_of_the_echo_at_the_range_of_the_prediction():
 
 def test_an_unknown_gain_moves_only_phase_and_level():
     channel = channels(np.array([0.2, -0.3, 0.1]))
-    plain, turned = (np.asarray(see(each).features)
-                     for each in (channel, (10 * np.exp(0.7j) * channel).astype(np.complex64)))
+    plain, turned = (
+        np.asarray(see(each).features) for each in (channel, (10 * np.exp(0.7j) * channel).astype(np.complex64))
+    )
     np.testing.assert_allclose(turned[:, :-3], plain[:, :-3], atol=2e-3)  # asinh(100 x) of a float32 x
     before, after = plain[:, -3] + 1j * plain[:, -2], turned[:, -3] + 1j * turned[:, -2]
     np.testing.assert_allclose(after / before, np.exp(0.7j), atol=1e-3)
@@ -126,14 +127,24 @@ def test_a_silent_channel_gives_finite_features():
     assert np.isfinite(paper_features(np.zeros((2, 1, 3, 3), np.complex64), PREDICTED)).all()
 
 
-@pytest.mark.parametrize("encoder, heard, message", [
-    ("paper", np.zeros((2, 1, 5, 5), np.complex64), r"got channel of shape \(2, 1, 5, 5\).*\(batch, 1, 24, 24\)$"),
-    ("roi", np.zeros((2, 1, 5, 5), np.complex64), r"got channel of shape \(2, 1, 5, 5\).*\(batch, 1, 24, 24\)$"),
-    ("roi", np.zeros((2, 1, 15, 15), np.complex64), r"got channel of shape \(2, 1, 15, 15\)"),
-    ("roi", Coefficients(np.zeros((2, 1, 9, 9), np.complex64), PREDICTED),
-     r"got coefficients of shape \(2, 1, 9, 9\).*\(batch, 1, 15, 15\)$"),
-    ("paper", Coefficients(np.zeros((2, 1, 15, 15), np.complex64), PREDICTED), "got coefficients; the encoder 'paper'"),
-])
+@pytest.mark.parametrize(
+    "encoder, heard, message",
+    [
+        ("paper", np.zeros((2, 1, 5, 5), np.complex64), r"got channel of shape \(2, 1, 5, 5\).*\(batch, 1, 24, 24\)$"),
+        ("roi", np.zeros((2, 1, 5, 5), np.complex64), r"got channel of shape \(2, 1, 5, 5\).*\(batch, 1, 24, 24\)$"),
+        ("roi", np.zeros((2, 1, 15, 15), np.complex64), r"got channel of shape \(2, 1, 15, 15\)"),
+        (
+            "roi",
+            Coefficients(np.zeros((2, 1, 9, 9), np.complex64), PREDICTED),
+            r"got coefficients of shape \(2, 1, 9, 9\).*\(batch, 1, 15, 15\)$",
+        ),
+        (
+            "paper",
+            Coefficients(np.zeros((2, 1, 15, 15), np.complex64), PREDICTED),
+            "got coefficients; the encoder 'paper'",
+        ),
+    ],
+)
 def test_what_is_heard_by_another_array_is_refused(encoder, heard, message):
     config = replace(CONFIG, model=replace(CONFIG.model, encoder=encoder))
     with pytest.raises(ValueError, match="heard: " + message):

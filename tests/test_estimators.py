@@ -66,14 +66,22 @@ def nmse_db(estimate, true):
 
 @pytest.mark.parametrize(
     ("box", "estimator", "wanted"),
-    [("paper", "ls", -18), ("paper", "ridge", -20), ("paper", "dft", -11), ("paper", "lmmse_roi", -46),
-     ("near", "lmmse_roi", -40), ("near", "ls", -18)],
+    [
+        ("paper", "ls", -18),
+        ("paper", "ridge", -20),
+        ("paper", "dft", -11),
+        ("paper", "lmmse_roi", -46),
+        ("near", "lmmse_roi", -40),
+        ("near", "ls", -18),
+    ],
 )
 def test_error_of_the_estimators_at_20_db(box, estimator, wanted):
     """Within 2 dB of the figures found with NumPy in double precision on other draws of the same scenes."""
     true, _, seen = observed(box, estimator, 20.0)
     assert abs(nmse_db(seen.estimated_channel, true) - wanted) < 2.0
-    np.testing.assert_allclose(seen.estimated_channel, jnp.swapaxes(seen.estimated_channel, -1, -2), rtol=1e-4, atol=1e-10)
+    np.testing.assert_allclose(
+        seen.estimated_channel, jnp.swapaxes(seen.estimated_channel, -1, -2), rtol=1e-4, atol=1e-10
+    )
 
 
 def test_gaussian_pilots_do_as_well_for_the_same_power():
@@ -115,7 +123,9 @@ def test_power_and_snr_are_two_ways_to_say_one_thing():
         jax.random.split(jax.random.key(7), COUNT)[0], seen.power_dbm[0]
     )
     np.testing.assert_allclose(again.snr_db, seen.snr_db[0], atol=1e-3)
-    np.testing.assert_allclose(again.estimated_channel, seen.estimated_channel[0], atol=1e-3 * float(jnp.max(jnp.abs(channels[0]))))
+    np.testing.assert_allclose(
+        again.estimated_channel, seen.estimated_channel[0], atol=1e-3 * float(jnp.max(jnp.abs(channels[0])))
+    )
 
 
 def test_dft_pilots_get_the_power_of_the_sector_pilots():
@@ -183,8 +193,9 @@ def test_region_estimate_against_a_slow_bayesian_twin():
     covariance = (echoes * prior) @ echoes.conj().T + np.eye(echoes.shape[0])
     amplitudes = prior * (echoes.conj().T @ np.linalg.solve(covariance, received.ravel()))
     slow = np.tensordot(amplitudes, np.array(atoms), 1)
-    region = Region(jnp.asarray(predicted, jnp.float32), half, array.positions, array.wavenumber,
-                               roi.legendre_basis(4, 2, 8))
+    region = Region(
+        jnp.asarray(predicted, jnp.float32), half, array.positions, array.wavenumber, roi.legendre_basis(4, 2, 8)
+    )
     fast = estimators.lmmse_roi(jnp.asarray(received, jnp.complex64), jnp.asarray(sent, jnp.complex64), 1.0, region)
     # All eight functions of a 4 x 2 array: no truncation; float32 solve of condition number 1e4.
     np.testing.assert_allclose(fast.channel, slow, atol=2e-3 * np.abs(slow).max())
@@ -239,9 +250,13 @@ def test_every_estimate_follows_the_echo_s_gain(name):
 def test_every_estimate_follows_the_pilots_power(name):
     """Pilots and echo twice as strong, over the same channel, leave a smaller error of the same channel."""
     channel, sent, region, noise = law_setting()
-    errors = [np.linalg.norm(estimate_channel(
-        name, channel @ (gain * sent) + noise, gain * sent, noise_w=1.0, region=region).channel - channel)
-        for gain in (1.0, 8.0)]
+    errors = [
+        np.linalg.norm(
+            estimate_channel(name, channel @ (gain * sent) + noise, gain * sent, noise_w=1.0, region=region).channel
+            - channel
+        )
+        for gain in (1.0, 8.0)
+    ]
     assert errors[1] < 0.6 * errors[0]
 
 
@@ -272,7 +287,9 @@ def test_tones_share_the_power_and_the_snr():
 def test_estimate_improves_with_power_up_to_float32():
     levels = np.repeat([0.0, 15.0, 30.0, 60.0], COUNT // 4)
     true, _, seen = observed("near", "lmmse_roi", levels)
-    errors = [nmse_db(seen.estimated_channel[levels == level], true[levels == level]) for level in (0.0, 15.0, 30.0, 60.0)]
+    errors = [
+        nmse_db(seen.estimated_channel[levels == level], true[levels == level]) for level in (0.0, 15.0, 30.0, 60.0)
+    ]
     assert errors[0] > errors[1] + 8 and errors[1] > errors[2] + 8
     assert errors[3] < errors[2]
 
@@ -287,8 +304,14 @@ def test_estimate_improves_with_power_up_to_float32():
     ],
 )
 def test_bad_observation_is_named(unchecked, change, words):
-    arguments = {"channel": jnp.zeros((1, 64, 64), jnp.complex64), "predicted": jnp.ones(3), "array": ARRAY,
-                 "signal": SignalConfig(), "region": REGION, "snr_db": 10.0} | change
+    arguments = {
+        "channel": jnp.zeros((1, 64, 64), jnp.complex64),
+        "predicted": jnp.ones(3),
+        "array": ARRAY,
+        "signal": SignalConfig(),
+        "region": REGION,
+        "snr_db": 10.0,
+    } | change
     with pytest.raises(ValueError, match=words):
         station.observe(jax.random.key(0), arguments.pop("channel"), arguments.pop("predicted"), **arguments)
 

@@ -22,8 +22,11 @@ def test_the_folder_is_flushed_after_the_rename(tmp_path, monkeypatch):
     done = []
     rename, fsync = os.replace, os.fsync
     monkeypatch.setattr(os, "replace", lambda *paths: (done.append("rename"), rename(*paths)))
-    monkeypatch.setattr(os, "fsync", lambda number: (done.append(
-        "folder" if os.path.isdir(f"/proc/self/fd/{number}") else "file"), fsync(number)))
+    monkeypatch.setattr(
+        os,
+        "fsync",
+        lambda number: (done.append("folder" if os.path.isdir(f"/proc/self/fd/{number}") else "file"), fsync(number)),
+    )
     write_text(tmp_path / "deep" / "note.txt", "whole")
     assert done == ["file", "rename", "folder"]
 
@@ -40,14 +43,18 @@ def _whole(path):
     return path.read_bytes()
 
 
-@pytest.mark.parametrize("damage", [
-    lambda content: b"",
-    lambda content: b"junk",
-    lambda content: content[:60],
-    lambda content: content[:-30],
-    lambda content: content[:100] + bytes(40) + content[140:],
-    lambda content: b"\x93NUMPY" + content[6:],
-], ids=["empty", "junk", "head alone", "cut", "overwritten", "another magic number"])
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda content: b"",
+        lambda content: b"junk",
+        lambda content: content[:60],
+        lambda content: content[:-30],
+        lambda content: content[:100] + bytes(40) + content[140:],
+        lambda content: b"\x93NUMPY" + content[6:],
+    ],
+    ids=["empty", "junk", "head alone", "cut", "overwritten", "another magic number"],
+)
 def test_damage_is_told_with_the_file(tmp_path, damage):
     path = tmp_path / "a.npz"
     path.write_bytes(damage(_whole(path)))

@@ -51,8 +51,9 @@ def modules():
 def imports(path, name):
     """Absolute dotted names of everything a module imports for use, at its top or inside a function."""
     tree = ast.parse(path.read_text())
-    typing_only = [node for node in ast.walk(tree)
-                   if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)]
+    typing_only = [
+        node for node in ast.walk(tree) if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)
+    ]
     skipped = {inner for node in typing_only for inner in ast.walk(node)}
     for node in ast.walk(tree):
         if node in skipped:
@@ -88,8 +89,13 @@ def test_imports_follow_the_house(name):
 @pytest.mark.parametrize("room", [room for room, allowed in ALLOWED.items() if allowed - BASE])
 def test_no_room_is_allowed_what_it_does_not_use(room):
     """A rule that nobody needs is a door left open."""
-    used = {target.removeprefix("august_jax.") for name, path in MODULES.items() if name.split(".")[0] == room
-            for target in imports(path, name) if target.startswith("august_jax.")}
+    used = {
+        target.removeprefix("august_jax.")
+        for name, path in MODULES.items()
+        if name.split(".")[0] == room
+        for target in imports(path, name)
+        if target.startswith("august_jax.")
+    }
     idle = [place for place in ALLOWED[room] - BASE if not any(within(target, [place]) for target in used)]
     assert not idle, f"{room} does not use {', '.join(idle)}: take them out of ALLOWED"
 
@@ -101,8 +107,9 @@ def test_every_rule_is_about_something_that_is_there():
     for place in owners:
         assert any(within(name, [place]) for name in MODULES), f"{place} owns a package but is no module"
     for package, places in OWNERS.items():
-        users = {name for name, path in MODULES.items() for target in imports(path, name)
-                 if target.split(".")[0] == package}
+        users = {
+            name for name, path in MODULES.items() for target in imports(path, name) if target.split(".")[0] == package
+        }
         idle = [place for place in places if not any(within(name, [place]) for name in users)]
         assert not idle, f"{package}: {', '.join(idle)} does not import it"
 

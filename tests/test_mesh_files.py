@@ -37,10 +37,14 @@ def obj(vertices, polygons) -> bytes:
 
 
 def ply(vertices, polygons, order="ascii", count="uchar", extra=False) -> bytes:
-    head = (f"ply\nformat {order} 1.0\ncomment made up\nelement vertex {len(vertices)}\nproperty float x\n"
-            f"property float y\nproperty float z\nelement face {len(polygons)}\n"
-            + ("property uchar red\n" if extra else "") + f"property list {count} int vertex_indices\n"
-            + ("property float quality\n" if extra else "") + "end_header\n")
+    head = (
+        f"ply\nformat {order} 1.0\ncomment made up\nelement vertex {len(vertices)}\nproperty float x\n"
+        f"property float y\nproperty float z\nelement face {len(polygons)}\n"
+        + ("property uchar red\n" if extra else "")
+        + f"property list {count} int vertex_indices\n"
+        + ("property float quality\n" if extra else "")
+        + "end_header\n"
+    )
     if order == "ascii":
         rows = [" ".join(map(str, v)) for v in vertices]
         rows += [" ".join(map(str, [*([9] if extra else []), len(p), *p, *([0.5] if extra else [])])) for p in polygons]
@@ -74,8 +78,9 @@ def gltf(vertices, faces, *, sparse=None, nodes=None, mode=4, indexed=True, **do
     def add(array, kind, components, **more):
         blobs.append(np.ascontiguousarray(array).tobytes().ljust(-(-array.nbytes // 4) * 4, b"\0"))
         views.append({"buffer": 0, "byteOffset": sum(map(len, blobs[:-1])), "byteLength": array.nbytes})
-        accessors.append({"bufferView": len(views) - 1, "componentType": components, "count": len(array),
-                          "type": kind, **more})
+        accessors.append(
+            {"bufferView": len(views) - 1, "componentType": components, "count": len(array), "type": kind, **more}
+        )
         return len(accessors) - 1
 
     position = add(np.asarray(vertices, "<f4"), "VEC3", 5126)
@@ -86,14 +91,23 @@ def gltf(vertices, faces, *, sparse=None, nodes=None, mode=4, indexed=True, **do
         where, what = add(np.asarray(sparse[0], "<u2"), "SCALAR", 5123), add(np.asarray(sparse[1], "<f4"), "VEC3", 5126)
         del accessors[position]["bufferView"]
         accessors[position]["sparse"] = {
-            "count": len(sparse[0]), "indices": {"bufferView": where, "componentType": 5123},
+            "count": len(sparse[0]),
+            "indices": {"bufferView": where, "componentType": 5123},
             "values": {"bufferView": what},
         }
     data = b"".join(blobs)
     uri = "data:application/octet-stream;base64," + base64.b64encode(data).decode()
-    return {"asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}], "nodes": nodes or [{"mesh": 0}],
-            "meshes": [{"primitives": [primitive]}], "accessors": accessors, "bufferViews": views,
-            "buffers": [{"byteLength": len(data), "uri": uri}], **document}
+    return {
+        "asset": {"version": "2.0"},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": nodes or [{"mesh": 0}],
+        "meshes": [{"primitives": [primitive]}],
+        "accessors": accessors,
+        "bufferViews": views,
+        "buffers": [{"byteLength": len(data), "uri": uri}],
+        **document,
+    }
 
 
 def glb(document) -> bytes:
@@ -114,7 +128,7 @@ def dae(vertices, polygons, *, asset="<up_axis>Z_UP</up_axis>", node="", kind="p
         body = "".join("<p>" + " ".join(f"{i} 0" for i in p) + "</p>" for p in polygons)
     return f"""<?xml version="1.0"?><COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">
 <asset>{asset}</asset><library_geometries><geometry id="g"><mesh><source id="s">
-<float_array id="a" count="{3 * len(vertices)}">{' '.join(str(x) for v in vertices for x in v)}</float_array>
+<float_array id="a" count="{3 * len(vertices)}">{" ".join(str(x) for v in vertices for x in v)}</float_array>
 <technique_common><accessor source="#a" count="{len(vertices)}" stride="3"/></technique_common></source>
 <vertices id="v"><input semantic="POSITION" source="#s"/></vertices><{kind} count="{len(polygons)}">
 <input semantic="VERTEX" source="#v" offset="0"/><input semantic="NORMAL" source="#s" offset="1"/>{body}</{kind}>
@@ -237,15 +251,22 @@ def test_every_format_gives_the_same_surface(load, way):
 STRIP = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0], [0, 2, 0]], float)
 
 
-@pytest.mark.parametrize("name, content, wanted", [
-    ("strip.glb", glb(gltf(STRIP, range(5), mode=5)), 1.5),
-    ("fan.glb", glb(gltf(STRIP, [0, 1, 3, 4], mode=6)), 1.5),
-    ("strip.dae", dae(STRIP, [range(5)], kind="tristrips"), 1.5),
-    ("fan.dae", dae(STRIP, [[0, 1, 3, 4]], kind="trifans"), 1.5),
-    ("strip.ply", b"ply\nformat ascii 1.0\nelement vertex 5\nproperty float x\nproperty float y\nproperty float z\n"
-                  b"element tristrips 1\nproperty list int int vertex_indices\nend_header\n"
-                  b"0 0 0\n1 0 0\n0 1 0\n1 1 0\n0 2 0\n9 0 1 2 3 -1 2 3 4 -1\n", 1.5),
-])
+@pytest.mark.parametrize(
+    "name, content, wanted",
+    [
+        ("strip.glb", glb(gltf(STRIP, range(5), mode=5)), 1.5),
+        ("fan.glb", glb(gltf(STRIP, [0, 1, 3, 4], mode=6)), 1.5),
+        ("strip.dae", dae(STRIP, [range(5)], kind="tristrips"), 1.5),
+        ("fan.dae", dae(STRIP, [[0, 1, 3, 4]], kind="trifans"), 1.5),
+        (
+            "strip.ply",
+            b"ply\nformat ascii 1.0\nelement vertex 5\nproperty float x\nproperty float y\nproperty float z\n"
+            b"element tristrips 1\nproperty list int int vertex_indices\nend_header\n"
+            b"0 0 0\n1 0 0\n0 1 0\n1 1 0\n0 2 0\n9 0 1 2 3 -1 2 3 4 -1\n",
+            1.5,
+        ),
+    ],
+)
 def test_strips_and_fans(load, name, content, wanted):
     surface = load(name, content)
     assert area(surface) == pytest.approx(wanted)
@@ -266,15 +287,17 @@ def test_obj_takes_comments_continued_lines_and_colours(load):
 
 
 def test_scene_transforms_apply_and_mirrors_keep_faces_outward(load, tmp_path):
-    nodes = [{"children": [1, 2], "translation": [0, 0, 1], "scale": [2, 2, 2]},
-             {"mesh": 0, "rotation": [0, 0, np.sqrt(0.5), np.sqrt(0.5)]},  # 90 degrees about z
-             {"mesh": 0, "matrix": [-1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 5, 0, 0, 1]}]
+    nodes = [
+        {"children": [1, 2], "translation": [0, 0, 1], "scale": [2, 2, 2]},
+        {"mesh": 0, "rotation": [0, 0, np.sqrt(0.5), np.sqrt(0.5)]},  # 90 degrees about z
+        {"mesh": 0, "matrix": [-1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 5, 0, 0, 1]},
+    ]
     surface = load("two.glb", glb(gltf(TETRAHEDRON, SIDES, nodes=nodes)))
     assert area(surface) == pytest.approx(8 * TETRAHEDRON_AREA)
     assert np.linalg.det(surface.vertices[surface.faces]).sum() / 6 == pytest.approx(2 * 8 / 6)
     # the file's x, y, z are left, up and forward: the first copy spans x in [-2, 0], the mirrored one in [8, 10]
     np.testing.assert_allclose([surface.vertices.min(0), surface.vertices.max(0)], [[1, -2, 0], [3, 10, 2]], atol=1e-6)
-    node = ('<translate>0 0 1</translate><rotate>0 0 1 90</rotate><scale>2 2 2</scale>')
+    node = "<translate>0 0 1</translate><rotate>0 0 1 90</rotate><scale>2 2 2</scale>"
     surface = load("placed.dae", dae(TETRAHEDRON, SIDES, node=node))
     np.testing.assert_allclose([surface.vertices.min(0), surface.vertices.max(0)], [[-2, 0, 1], [0, 2, 3]], atol=1e-12)
 
@@ -298,10 +321,14 @@ def test_quantised_places_and_skins_and_morphs_are_read(load):
     skin["scenes"][0]["nodes"] = [0, 1]
     extra = np.zeros((4, 4), "u1").tobytes() + np.tile(np.asarray([1, 0, 0, 0], "<f4"), (4, 1)).tobytes()
     data = base64.b64decode(skin["buffers"][0]["uri"].partition(",")[2])
-    skin["bufferViews"] += [{"buffer": 0, "byteOffset": len(data), "byteLength": 16},
-                            {"buffer": 0, "byteOffset": len(data) + 16, "byteLength": 64}]
-    skin["accessors"] += [{"bufferView": 2, "componentType": 5121, "count": 4, "type": "VEC4"},
-                          {"bufferView": 3, "componentType": 5126, "count": 4, "type": "VEC4"}]
+    skin["bufferViews"] += [
+        {"buffer": 0, "byteOffset": len(data), "byteLength": 16},
+        {"buffer": 0, "byteOffset": len(data) + 16, "byteLength": 64},
+    ]
+    skin["accessors"] += [
+        {"bufferView": 2, "componentType": 5121, "count": 4, "type": "VEC4"},
+        {"bufferView": 3, "componentType": 5126, "count": 4, "type": "VEC4"},
+    ]
     skin["meshes"][0]["primitives"][0]["attributes"] |= {"JOINTS_0": 2, "WEIGHTS_0": 3}
     skin["buffers"][0]["uri"] = "data:;base64," + base64.b64encode(data + extra).decode()
     surface = load("skin.gltf", json.dumps(skin).encode())
@@ -334,27 +361,44 @@ MM_Y_UP = '<unit name="millimeters" meter="10e-4"/><up_axis>Y_UP</up_axis>'
 def plate_file(kind, to_file=None, scale=1.0, **arguments) -> tuple[str, bytes]:
     places = scale * PLATE @ np.asarray(to_file).T
     faces = np.array([[0, 1, 2], [0, 2, 3]])
-    write = {"glb": lambda: glb(gltf(places, faces)), "gltf": lambda: json.dumps(gltf(places, faces)).encode(),
-             "dae": lambda: dae(places, faces, **arguments), "obj": lambda: obj(places, faces.tolist()),
-             "stl": lambda: stl(places, faces), "ply": lambda: ply(places, faces.tolist())}[kind]
+    write = {
+        "glb": lambda: glb(gltf(places, faces)),
+        "gltf": lambda: json.dumps(gltf(places, faces)).encode(),
+        "dae": lambda: dae(places, faces, **arguments),
+        "obj": lambda: obj(places, faces.tolist()),
+        "stl": lambda: stl(places, faces),
+        "ply": lambda: ply(places, faces.tolist()),
+    }[kind]
     return f"plate.{kind}", write()
 
 
 STANDS = {
     "glTF fixes all": (plate_file("glb", TO_GLTF), {}, "unit 1 m (glTF), up y (glTF), forward z (glTF)"),
     "gltf": (plate_file("gltf", TO_GLTF), {}, "unit 1 m (glTF), up y (glTF), forward z (glTF)"),
-    "its own unit and axis": (plate_file("dae", TO_Y_UP, 1000, asset=MM_Y_UP), {},
-                              "unit 0.001 m (its <unit>), up y (its <up_axis>), forward x (assumed"),
+    "its own unit and axis": (
+        plate_file("dae", TO_Y_UP, 1000, asset=MM_Y_UP),
+        {},
+        "unit 0.001 m (its <unit>), up y (its <up_axis>), forward x (assumed",
+    ),
     "COLLADA, z up": (plate_file("dae", np.eye(3)), {}, "up z (its <up_axis>)"),
-    "COLLADA, x up": (plate_file("dae", [[0, 0, 1], [-1, 0, 0], [0, -1, 0]], asset="<up_axis>X_UP</up_axis>"), {},
-                      "up x (its <up_axis>), forward -y (assumed"),
-    "COLLADA that says nothing": (plate_file("dae", TO_Y_UP, asset=""), {},
-                                  "unit 1 m (COLLADA's default), up y (COLLADA's default)"),
+    "COLLADA, x up": (
+        plate_file("dae", [[0, 0, 1], [-1, 0, 0], [0, -1, 0]], asset="<up_axis>X_UP</up_axis>"),
+        {},
+        "up x (its <up_axis>), forward -y (assumed",
+    ),
+    "COLLADA that says nothing": (
+        plate_file("dae", TO_Y_UP, asset=""),
+        {},
+        "unit 1 m (COLLADA's default), up y (COLLADA's default)",
+    ),
     "OBJ": (plate_file("obj", np.eye(3)), {}, "unit 1 m (assumed: the file says nothing), up z (assumed"),
     "STL": (plate_file("stl", np.eye(3)), {}, "forward x (assumed"),
     "PLY": (plate_file("ply", np.eye(3)), {}, "forward x (assumed"),
-    "STL that is told": (plate_file("stl", TO_GLTF, 100), {"unit": "cm", "up": "y", "forward": "z"},
-                         "unit 0.01 m (given), up y (given), forward z (given)"),
+    "STL that is told": (
+        plate_file("stl", TO_GLTF, 100),
+        {"unit": "cm", "up": "y", "forward": "z"},
+        "unit 0.01 m (given), up y (given), forward z (given)",
+    ),
     "PLY told its upward axis": (plate_file("ply", TO_Y_UP), {"up": "y"}, "up y (given), forward x (assumed"),
 }
 
@@ -371,20 +415,25 @@ def test_a_craft_stands_as_its_file_says(tmp_path, name):
     assert json.loads(json.dumps(source.record()))["up_from"] == "given"
 
 
-@pytest.mark.parametrize("file, arguments, message", [
-    (plate_file("glb", TO_GLTF), {"up": "z"}, r"declares up y \(glTF\), but is read with up='z'"),
-    (plate_file("glb", TO_GLTF), {"forward": "x"}, r"declares forward z \(glTF\), but is read with forward='x'"),
-    (plate_file("glb", TO_GLTF), {"unit": "mm"}, r"declares a unit of 1 m \(glTF\), but is read with unit=0.001 m"),
-    (plate_file("dae", TO_Y_UP, asset=MM_Y_UP), {"unit": "m"}, "declares a unit of 0.001 m"),
-    (plate_file("dae", TO_Y_UP, asset=MM_Y_UP), {"up": "z"}, r"declares up y \(its <up_axis>\)"),
-])
+@pytest.mark.parametrize(
+    "file, arguments, message",
+    [
+        (plate_file("glb", TO_GLTF), {"up": "z"}, r"declares up y \(glTF\), but is read with up='z'"),
+        (plate_file("glb", TO_GLTF), {"forward": "x"}, r"declares forward z \(glTF\), but is read with forward='x'"),
+        (plate_file("glb", TO_GLTF), {"unit": "mm"}, r"declares a unit of 1 m \(glTF\), but is read with unit=0.001 m"),
+        (plate_file("dae", TO_Y_UP, asset=MM_Y_UP), {"unit": "m"}, "declares a unit of 0.001 m"),
+        (plate_file("dae", TO_Y_UP, asset=MM_Y_UP), {"up": "z"}, r"declares up y \(its <up_axis>\)"),
+    ],
+)
 def test_an_argument_wins_and_a_contradiction_is_told(tmp_path, file, arguments, message):
     (tmp_path / file[0]).write_bytes(file[1])
     with pytest.warns(UserWarning, match=message):
         craft = load_airframe(tmp_path / file[0], **arguments)
     assert (craft.source.unit_m, craft.source.up, craft.source.forward) == (
         {"mm": 0.001, "m": 1.0}.get(arguments.get("unit"), craft.source.unit_m),
-        arguments.get("up", craft.source.up), arguments.get("forward", craft.source.forward))
+        arguments.get("up", craft.source.up),
+        arguments.get("forward", craft.source.forward),
+    )
 
 
 def test_arguments_that_agree_with_the_file_are_silent(tmp_path):
@@ -476,11 +525,15 @@ BAD_FILES = {
     "cut.glb": (glb(gltf(TETRAHEDRON, SIDES))[:-8], "header states .* bytes, but it has"),
     "old.gltf": (altered(GLTF, asset={"version": "1.0"}), "it is glTF 1.0, and glTF 2 is read"),
     "no.gltf": (b"{", "holds no JSON document"),
-    "draco.gltf": (altered(GLTF, extensionsRequired=["KHR_draco_mesh_compression"]),
-                   "requires the glTF extension KHR_draco_mesh_compression, .* export the mesh without it"),
+    "draco.gltf": (
+        altered(GLTF, extensionsRequired=["KHR_draco_mesh_compression"]),
+        "requires the glTF extension KHR_draco_mesh_compression, .* export the mesh without it",
+    ),
     "unheard.gltf": (altered(GLTF, extensionsRequired=["XY_teapots"]), "requires the glTF extension XY_teapots"),
-    "copies.gltf": (altered(GLTF, nodes=[{"mesh": 0, "extensions": {"EXT_mesh_gpu_instancing": {}}}]),
-                    "uses the glTF extension EXT_mesh_gpu_instancing"),
+    "copies.gltf": (
+        altered(GLTF, nodes=[{"mesh": 0, "extensions": {"EXT_mesh_gpu_instancing": {}}}]),
+        "uses the glTF extension EXT_mesh_gpu_instancing",
+    ),
     "bare.gltf": (json.dumps(GLTF).replace('"bufferView": 0, ', "").encode(), "accessor 0 holds no data"),
     "overrun.gltf": (of_one_accessor(count=40), "40 elements end at byte 480 of a buffer"),
     "sparse.gltf": (altered(gltf(TETRAHEDRON, SIDES, sparse=([1, 9], TETRAHEDRON[:2]))), "names element 9 of 4"),

@@ -17,8 +17,9 @@ def slow_chamfer(first, second):
 def test_chamfer_against_a_loop():
     rng = np.random.default_rng(0)
     first, second = rng.normal(size=(30, 3)), rng.normal(size=(40, 3)) + 0.5
-    np.testing.assert_allclose(metrics.chamfer(jnp.asarray(first), jnp.asarray(second)), slow_chamfer(first, second),
-                               rtol=1e-5)
+    np.testing.assert_allclose(
+        metrics.chamfer(jnp.asarray(first), jnp.asarray(second)), slow_chamfer(first, second), rtol=1e-5
+    )
     centred = slow_chamfer(first - first.mean(0), second - second.mean(0))
     np.testing.assert_allclose(metrics.shape_distance(jnp.asarray(first), jnp.asarray(second)), centred, rtol=1e-5)
 

@@ -44,8 +44,9 @@ def test_axis_and_yaw_give_the_flat_attitude():
     axis /= np.linalg.norm(axis, axis=1, keepdims=True)
     yaw = generator.uniform(-np.pi, np.pi, 30)
     rotation = np.asarray(rotation_from_axis_yaw(jnp.asarray(axis), jnp.asarray(yaw)))
-    np.testing.assert_allclose(rotation @ np.swapaxes(rotation, 1, 2), np.broadcast_to(np.eye(3), (30, 3, 3)),
-                               atol=ROUNDING)
+    np.testing.assert_allclose(
+        rotation @ np.swapaxes(rotation, 1, 2), np.broadcast_to(np.eye(3), (30, 3, 3)), atol=ROUNDING
+    )
     np.testing.assert_allclose(np.linalg.det(rotation), 1.0, atol=ROUNDING)
     np.testing.assert_allclose(rotation[..., 2], axis, atol=ROUNDING)
     np.testing.assert_allclose(np.cos(np.arctan2(rotation[:, 1, 0], rotation[:, 0, 0]) - yaw), 1.0, atol=ROUNDING)
@@ -75,5 +76,6 @@ def test_transform_moves_points_rigidly():
     moved = np.asarray(transform(points, rotation, shift))
     for batch in range(2):
         for point in range(5):
-            np.testing.assert_allclose(moved[batch, point], np.asarray(rotation)[batch] @ points[batch, point]
-                                       + shift[batch], atol=1e-5)
+            np.testing.assert_allclose(
+                moved[batch, point], np.asarray(rotation)[batch] @ points[batch, point] + shift[batch], atol=1e-5
+            )

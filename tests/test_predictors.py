@@ -57,8 +57,10 @@ def test_every_predictor_keeps_its_state_s_shape(name):
     predictor = by_name(name)
     state = predictor.start(jnp.zeros(3))
     ahead, _ = predictor.predict(state)
-    shapes = [jax.tree.map(lambda leaf: (leaf.shape, leaf.dtype), each)
-              for each in (state, ahead, predictor.update(ahead, jnp.ones(3)))]
+    shapes = [
+        jax.tree.map(lambda leaf: (leaf.shape, leaf.dtype), each)
+        for each in (state, ahead, predictor.update(ahead, jnp.ones(3)))
+    ]
     assert shapes[0] == shapes[1] == shapes[2]
     flights = jnp.asarray(np.stack([smooth_flight(seed, 6) for seed in range(2)]), jnp.float32)
     mapped = jax.jit(jax.vmap(lambda past: predict_next(predictor, past).position))(flights)
@@ -81,7 +83,7 @@ def test_differences_are_half_a_slot_late():
     np.testing.assert_allclose(difference([[0.0, 0, 0], [1.0, 2, 3]]), [2.0, 4.0, 6.0])
     # The second-order miss of the paper's gains is |q''| t^2 / 2.
     miss = difference(path[:3]) - path[3]
-    np.testing.assert_allclose(miss, -SLOT**2 / 2 * 2 * np.array([0.2, 0.4, -0.3]), atol=1e-5)
+    np.testing.assert_allclose(miss, -(SLOT**2) / 2 * 2 * np.array([0.2, 0.4, -0.3]), atol=1e-5)
 
 
 def test_gains_are_the_kinematic_prediction():

@@ -26,9 +26,10 @@ def test_basis_starts_with_constant_and_slopes():
     np.testing.assert_allclose(np.ptp(basis[..., 2], axis=0), 0.0, atol=1e-6)  # no change along x
 
 
-@pytest.mark.parametrize(("box", "shape", "lost"), [
-    ("paper", (16, 4), 1e-8), ("near", (16, 4), 1e-4), ("near", (16, 16), 1e-4), ("paper", (16, 1), 1e-8),
-])
+@pytest.mark.parametrize(
+    ("box", "shape", "lost"),
+    [("paper", (16, 4), 1e-8), ("near", (16, 4), 1e-4), ("near", (16, 16), 1e-4), ("paper", (16, 1), 1e-8)],
+)
 def test_default_basis_keeps_the_waves_of_near_points(box, shape, lost):
     """Mean energy of g g^T outside the subspace, for points up to 0.5 m off along each axis."""
     array = PlanarArray(*shape, 3e9)

@@ -38,13 +38,17 @@ def test_the_root_s_own_children_are_no_streams():
 
 def test_members_are_the_numbered_keys():
     parent = streams.key(5, "data.flight")
-    np.testing.assert_array_equal(jax.random.key_data(streams.members(parent, np.array([4, 9]))),
-                                  [bits(streams.key(5, "data.flight", number)) for number in (4, 9)])
+    np.testing.assert_array_equal(
+        jax.random.key_data(streams.members(parent, np.array([4, 9]))),
+        [bits(streams.key(5, "data.flight", number)) for number in (4, 9)],
+    )
 
 
-@pytest.mark.parametrize("setting", [
-    lambda: jax.enable_x64(True), lambda: jax.threefry_partitionable(False), lambda: jax.default_prng_impl("rbg"),
-], ids=["x64", "counting", "generator"])
+@pytest.mark.parametrize(
+    "setting",
+    [lambda: jax.enable_x64(True), lambda: jax.threefry_partitionable(False), lambda: jax.default_prng_impl("rbg")],
+    ids=["x64", "counting", "generator"],
+)
 def test_pinned_numbers_do_not_depend_on_settings(setting):
     @streams.pin
     def draw():
@@ -57,8 +61,10 @@ def test_pinned_numbers_do_not_depend_on_settings(setting):
     np.testing.assert_array_equal(plain, other)
 
 
-@pytest.mark.parametrize("arguments, words", [((0, "data.nothing"), "no stream"), ((-1, "data.flight"), "seed"),
-                                              ((2**32, "data.flight"), "seed")])
+@pytest.mark.parametrize(
+    "arguments, words",
+    [((0, "data.nothing"), "no stream"), ((-1, "data.flight"), "seed"), ((2**32, "data.flight"), "seed")],
+)
 def test_bad_streams_are_named(unchecked, arguments, words):
     with pytest.raises(ValueError, match=words):
         streams.key(*arguments)

@@ -17,10 +17,24 @@ from august_jax.training import Checkpoints, compiled_step, initial_state, load_
 from august_jax.training.checkpoint import flatten, warm_start
 
 SMOKE = preset("smoke")
-MODEL = replace(SMOKE.model, channel_features=8, encoder_features=16, encoder_layers=1, latent=4, fourier=1,
-                flow_layers=2, flow_features=8, denoiser=(16, 16), steps=20)
-CONFIG = replace(SMOKE, array=replace(SMOKE.array, nx=5, nz=4), model=MODEL,
-                 train=replace(SMOKE.train, steps=4, batch=8, points=8, log_every=1, save_every=2))
+MODEL = replace(
+    SMOKE.model,
+    channel_features=8,
+    encoder_features=16,
+    encoder_layers=1,
+    latent=4,
+    fourier=1,
+    flow_layers=2,
+    flow_features=8,
+    denoiser=(16, 16),
+    steps=20,
+)
+CONFIG = replace(
+    SMOKE,
+    array=replace(SMOKE.array, nx=5, nz=4),
+    model=MODEL,
+    train=replace(SMOKE.train, steps=4, batch=8, points=8, log_every=1, save_every=2),
+)
 ORDERS = 15
 ROWS, COLUMNS = np.triu_indices(ORDERS)
 GAIN = np.random.default_rng(5).normal(size=(len(ROWS), 3, 2)) @ np.array([0.05, 0.05j])
@@ -40,8 +54,12 @@ def next_batch(step, count=CONFIG.train.batch):
     cloud[..., 2] = 0.0
     cloud[..., :3] += offset[:, None]
     predicted = np.tile(np.float32([5, 6, 3]), (count, 1))
-    return Batch(predicted, np.full(count, 20.0, np.float32), cloud.astype(np.float32),
-                 coefficients=Coefficients((1e-6 * channel).astype(np.complex64), predicted))
+    return Batch(
+        predicted,
+        np.full(count, 20.0, np.float32),
+        cloud.astype(np.float32),
+        coefficients=Coefficients((1e-6 * channel).astype(np.complex64), predicted),
+    )
 
 
 def same(one, two):
@@ -54,8 +72,14 @@ def same(one, two):
 def finished(tmp_path_factory):
     folder = tmp_path_factory.mktemp("run")
     lines, drawn = [], []
-    state = train(CONFIG, next_batch, folder, progress=lines.append, draw=lambda *paths: drawn.append(paths),
-                  validate=lambda graphdef, arrays, done: {"position_error": done / 100})
+    state = train(
+        CONFIG,
+        next_batch,
+        folder,
+        progress=lines.append,
+        draw=lambda *paths: drawn.append(paths),
+        validate=lambda graphdef, arrays, done: {"position_error": done / 100},
+    )
     return folder, state, lines, drawn
 
 
@@ -136,7 +160,8 @@ def test_weights_without_a_checkpoint_are_set_aside_and_never_written_over(finis
     assert (tmp_path / "metrics.previous.jsonl").read_text() == '{"step": 9}\n'
     assert (tmp_path / "config.previous.yaml").read_text() == "another: configuration\n"
     assert {"weights.npz", "weights.previous-2.npz", "config.previous-2.yaml", "metrics.previous-2.jsonl"} <= {
-        path.name for path in tmp_path.iterdir()}
+        path.name for path in tmp_path.iterdir()
+    }
 
 
 def test_a_loss_that_is_not_finite_stops_the_run_by_name(tmp_path):
@@ -167,14 +192,25 @@ def test_a_step_clips_decays_and_averages():
 
 def test_training_learns_where_the_target_is():
     """A hundred and fifty steps from a channel that tells the offset: the cloud's mean follows it."""
-    settings = replace(CONFIG, model=replace(MODEL, encoder_features=48, channel_features=32, denoiser=(32, 32)),
-                       train=replace(CONFIG.train, steps=150, batch=64, learning_rate=(5e-3, 1e-4)))
+    settings = replace(
+        CONFIG,
+        model=replace(MODEL, encoder_features=48, channel_features=32, denoiser=(32, 32)),
+        train=replace(CONFIG.train, steps=150, batch=64, learning_rate=(5e-3, 1e-4)),
+    )
     layout, state = initial_state(settings)
     for number in range(settings.train.steps):
         state, _ = compiled_step(layout.loss, settings.train, state, next_batch(number, 64))
     test = next_batch(10_000, 64)
-    clouds = reconstruct(layout.graphdef, layout.arrays(np.asarray(state.ema)), jax.random.key(0), test.heard,
-                         test.predicted, test.snr_db, count=64, steps=8)
+    clouds = reconstruct(
+        layout.graphdef,
+        layout.arrays(np.asarray(state.ema)),
+        jax.random.key(0),
+        test.heard,
+        test.predicted,
+        test.snr_db,
+        count=64,
+        steps=8,
+    )
     truth = test.cloud.mean(axis=1)[:, :3]
     error = np.sqrt(np.mean((np.asarray(clouds)[..., :3].mean(axis=1) - truth) ** 2))
     # not knowing anything gives 0.35, the offset's own spread
@@ -198,11 +234,14 @@ def test_weights_come_back_in_full_or_half_precision(tmp_path):
     assert not (tmp_path / "big.npz").exists()
 
 
-@pytest.mark.parametrize("change, message", [
-    ({"latent": 6}, r"has shape .*, the configuration wants"),
-    ({"flow_layers": 3}, r"prior.conditioners.2.* is missing"),
-    ({"flow_layers": 1}, r"prior.conditioners.1.* is not part of this configuration"),
-])
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        ({"latent": 6}, r"has shape .*, the configuration wants"),
+        ({"flow_layers": 3}, r"prior.conditioners.2.* is missing"),
+        ({"flow_layers": 1}, r"prior.conditioners.1.* is not part of this configuration"),
+    ],
+)
 def test_weights_of_another_configuration_are_refused(change, message, finished):
     with pytest.raises(ValueError, match=message):
         load_weights(finished[0] / "weights.npz", replace(CONFIG, model=replace(MODEL, **change)))
@@ -223,14 +262,17 @@ def damaged(finished, tmp_path_factory):
     return folder
 
 
-@pytest.mark.parametrize("file, error, message", [
-    ("missing", FileNotFoundError, "missing.npz"),
-    ("torn", DamagedFile, "torn.npz: is damaged"),
-    ("nan", ValueError, "nan.npz: mean_head.layers.0.kernel holds NaN or infinity"),
-    ("infinite", ValueError, "infinite.npz: mean_head.layers.0.kernel holds NaN or infinity"),
-    ("whole", ValueError, "whole.npz: mean_head.layers.0.kernel holds int64 and no real numbers"),
-    ("alien", ValueError, "alien.npz"),
-])
+@pytest.mark.parametrize(
+    "file, error, message",
+    [
+        ("missing", FileNotFoundError, "missing.npz"),
+        ("torn", DamagedFile, "torn.npz: is damaged"),
+        ("nan", ValueError, "nan.npz: mean_head.layers.0.kernel holds NaN or infinity"),
+        ("infinite", ValueError, "infinite.npz: mean_head.layers.0.kernel holds NaN or infinity"),
+        ("whole", ValueError, "whole.npz: mean_head.layers.0.kernel holds int64 and no real numbers"),
+        ("alien", ValueError, "alien.npz"),
+    ],
+)
 @pytest.mark.parametrize("door", ["load_weights", "train"])
 def test_a_wrong_file_of_weights_is_named_before_any_work(door, file, error, message, damaged, tmp_path):
     path = damaged / f"{file}.npz"

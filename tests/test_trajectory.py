@@ -48,8 +48,9 @@ def test_positions_cover_the_box(flights, style):
 @pytest.mark.parametrize("style", STYLES)
 def test_rotations_are_rotations(flights, style):
     rotations = flights[style].rotations.reshape(-1, 3, 3)
-    np.testing.assert_allclose(rotations @ rotations.swapaxes(1, 2), np.broadcast_to(np.eye(3), rotations.shape),
-                               atol=1e-5)
+    np.testing.assert_allclose(
+        rotations @ rotations.swapaxes(1, 2), np.broadcast_to(np.eye(3), rotations.shape), atol=1e-5
+    )
     np.testing.assert_allclose(np.linalg.det(rotations), 1.0, atol=1e-5)
 
 
@@ -115,12 +116,15 @@ def test_a_flight_depends_on_its_key_alone(flights):
     assert inside.rotations.shape == alone.rotations.shape and stayed.shape == ()
 
 
-@pytest.mark.parametrize("change, message", [
-    ({"box_m": ((0.0, 1.0), (0.0, 1.0), (2.0, 2.0))}, "flight.box_m.*along z"),
-    ({"box_m": ((0.0, 0.2), (0.0, 0.2), (0.0, 0.2)), "style": "jump"}, "flight.box_m.*enlarge the box"),
-    ({"style": "aerobatic"}, "flight.style: .*'aerobatic'.*smooth"),
-    ({"tilt_deg": 90.0}, "flight.tilt_deg: 90 "),
-])
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        ({"box_m": ((0.0, 1.0), (0.0, 1.0), (2.0, 2.0))}, "flight.box_m.*along z"),
+        ({"box_m": ((0.0, 0.2), (0.0, 0.2), (0.0, 0.2)), "style": "jump"}, "flight.box_m.*enlarge the box"),
+        ({"style": "aerobatic"}, "flight.style: .*'aerobatic'.*smooth"),
+        ({"tilt_deg": 90.0}, "flight.tilt_deg: 90 "),
+    ],
+)
 def test_impossible_flights_are_refused(unchecked, change, message):
     with pytest.raises(ValueError, match=message):
         fly(jax.random.key(0), FlightConfig(**change))

@@ -14,7 +14,14 @@ import pytest
 
 from august_jax.config import Config, preset
 from august_jax.physics import (
-    AntennaArray, Body, Cells, PlanarArray, body_channel, factor_body, fisher_information, position_bound,
+    AntennaArray,
+    Body,
+    Cells,
+    PlanarArray,
+    body_channel,
+    factor_body,
+    fisher_information,
+    position_bound,
     sensing_channel,
 )
 from august_jax.pipeline import load_networks, sense

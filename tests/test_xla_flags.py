@@ -13,27 +13,31 @@ from august_jax.app.sums import MANY_AXES, TRIALS, many_axes_fault, wrong_sums
 _OWN = "--xla_cpu_experimental_ynn_fusion_type="
 
 
-@pytest.mark.parametrize("jaxlib, flags, wanted", [
-    ("0.10.2", "", UNFUSED_SUMS),
-    ("0.11.0", "", UNFUSED_SUMS),
-    ("0.10.2", "  ", UNFUSED_SUMS),
-    ("0.10.2", "--xla_cpu_enable_fast_math=false", f"--xla_cpu_enable_fast_math=false {UNFUSED_SUMS}"),
-    ("0.10.2", _OWN, _OWN),  # the user's own setting stays
-    ("0.10.2", f"--xla_cpu_enable_fast_math=false {_OWN}dot", f"--xla_cpu_enable_fast_math=false {_OWN}dot"),
-    ("0.10.2", UNFUSED_SUMS, UNFUSED_SUMS),
-    ("0.10.2", "/etc/xla_flags", "/etc/xla_flags"),  # XLA would look for a file of the longer name
-    ("0.11.0", "flags.txt", "flags.txt"),
-    *((jaxlib, "", "") for jaxlib in ("0.10.0", "0.10.1", "0.11.1", "0.11.2", "0.12.0", "0.12.0.1", "0.13.0")),
-    ("0.12.0", "--xla_cpu_enable_fast_math=false", "--xla_cpu_enable_fast_math=false"),
-])
+@pytest.mark.parametrize(
+    "jaxlib, flags, wanted",
+    [
+        ("0.10.2", "", UNFUSED_SUMS),
+        ("0.11.0", "", UNFUSED_SUMS),
+        ("0.10.2", "  ", UNFUSED_SUMS),
+        ("0.10.2", "--xla_cpu_enable_fast_math=false", f"--xla_cpu_enable_fast_math=false {UNFUSED_SUMS}"),
+        ("0.10.2", _OWN, _OWN),  # the user's own setting stays
+        ("0.10.2", f"--xla_cpu_enable_fast_math=false {_OWN}dot", f"--xla_cpu_enable_fast_math=false {_OWN}dot"),
+        ("0.10.2", UNFUSED_SUMS, UNFUSED_SUMS),
+        ("0.10.2", "/etc/xla_flags", "/etc/xla_flags"),  # XLA would look for a file of the longer name
+        ("0.11.0", "flags.txt", "flags.txt"),
+        *((jaxlib, "", "") for jaxlib in ("0.10.0", "0.10.1", "0.11.1", "0.11.2", "0.12.0", "0.12.0.1", "0.13.0")),
+        ("0.12.0", "--xla_cpu_enable_fast_math=false", "--xla_cpu_enable_fast_math=false"),
+    ],
+)
 def test_the_flag_goes_where_it_is_needed_and_nowhere_else(jaxlib, flags, wanted):
     assert xla_flags(jaxlib, flags) == wanted
 
 
 def _first_sum(flags: str) -> subprocess.CompletedProcess:
     code = "import os, august_jax, jax.numpy as jnp; print(os.environ['XLA_FLAGS'], jnp.ones(3).sum())"
-    return subprocess.run([sys.executable, "-c", code], env=os.environ | {"XLA_FLAGS": flags}, text=True,
-                          capture_output=True, check=False)
+    return subprocess.run(
+        [sys.executable, "-c", code], env=os.environ | {"XLA_FLAGS": flags}, text=True, capture_output=True, check=False
+    )
 
 
 @pytest.mark.parametrize("content, warned", [("", True), (UNFUSED_SUMS, False)])
@@ -50,8 +54,15 @@ def test_flags_of_ones_own_are_kept():
     assert total == "3.0" and flags == xla_flags(jaxlib_release, "--xla_backend_optimization_level=0")
 
 
-@pytest.mark.parametrize("flags, file", [("", False), ("  --xla_backend_optimization_level=0", False),
-                                         ("-xla_backend_optimization_level=0", False), ("missing", True)])
+@pytest.mark.parametrize(
+    "flags, file",
+    [
+        ("", False),
+        ("  --xla_backend_optimization_level=0", False),
+        ("-xla_backend_optimization_level=0", False),
+        ("missing", True),
+    ],
+)
 def test_what_is_taken_for_a_file_is_what_xla_takes_for_one(flags, file):
     assert names_a_file(flags) is file
     assert ("Could not open file" in _first_sum(flags).stderr) is file
@@ -69,4 +80,6 @@ def test_sums_of_products_with_many_axes_come_out_right():
 
 def test_a_wrong_sum_is_told():
     assert wrong_sums({"right ones": lambda: 1e-7, "wrong ones": lambda: 2e-3, "lost ones": lambda: float("nan")}) == [
-        "wrong ones are off by 0.002", "lost ones are off by nan"]
+        "wrong ones are off by 0.002",
+        "lost ones are off by nan",
+    ]

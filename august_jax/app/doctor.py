@@ -15,8 +15,19 @@ from typing import NamedTuple
 from august_jax import UNFUSED_SUMS, config, names_a_file
 from august_jax.app.devices import describe_backend_error
 
-PACKAGES = ("jax", "jaxlib", "numpy", "scipy", "flax", "distrax", "optax", "orbax-checkpoint", "trimesh", "PyYAML",
-            "matplotlib")
+PACKAGES = (
+    "jax",
+    "jaxlib",
+    "numpy",
+    "scipy",
+    "flax",
+    "distrax",
+    "optax",
+    "orbax-checkpoint",
+    "trimesh",
+    "PyYAML",
+    "matplotlib",
+)
 SETTINGS = ("JAX_PLATFORMS", "JAX_ENABLE_X64", "JAX_DEFAULT_PRNG_IMPL", "JAX_THREEFRY_PARTITIONABLE")
 """Variables by which JAX computes elsewhere, or other numbers."""
 _ROOM_BYTES = 2 * 1024**3
@@ -37,8 +48,11 @@ def examine(out: Path) -> Iterator[Check]:
     Args:
         out: directory whose disk is checked for room, or the nearest above it that is there.
     """
-    yield Check("python", True, f"{platform.python_version()} on {platform.system()} {platform.machine()}, "
-                                f"{os.cpu_count()} CPU cores")
+    yield Check(
+        "python",
+        True,
+        f"{platform.python_version()} on {platform.system()} {platform.machine()}, {os.cpu_count()} CPU cores",
+    )
     yield _guarded("packages", _packages)
     yield _guarded("settings", _settings)
     devices = _guarded("devices", _devices)
@@ -50,8 +64,11 @@ def examine(out: Path) -> Iterator[Check]:
     yield _guarded("disk", lambda: _disk(out))
     yield _guarded("weights", _weights)
     collada = find_spec("collada") is not None
-    yield Check("dae meshes", True if collada else None,
-                "pycollada is here" if collada else "only with pycollada: pip install -c constraints.txt pycollada")
+    yield Check(
+        "dae meshes",
+        True if collada else None,
+        "pycollada is here" if collada else "only with pycollada: pip install -c constraints.txt pycollada",
+    )
 
 
 def _guarded(name: str, check: Callable[[], tuple[bool | None, str]]) -> Check:
@@ -77,8 +94,9 @@ def _settings() -> tuple[bool, str]:
     if not found:
         return True, "JAX's own"
     return True, ", ".join(found) + (
-        "" if found[0].startswith("JAX_PLATFORMS") and len(found) == 1 else
-        "; stored samples come out the same under these, what else is computed may not"
+        ""
+        if found[0].startswith("JAX_PLATFORMS") and len(found) == 1
+        else "; stored samples come out the same under these, what else is computed may not"
     )
 
 
@@ -96,8 +114,11 @@ def _sums() -> tuple[bool, str]:
     if not wrong:
         return True, f"right at every size at which releases of jaxlib get them wrong ({version('jaxlib')} here)"
     flags = os.environ.get("XLA_FLAGS", "")
-    mend = (f"add the line {UNFUSED_SUMS} to {flags}, which XLA_FLAGS names" if names_a_file(flags) else
-            f"import august_jax before JAX computes, or set XLA_FLAGS={UNFUSED_SUMS}")
+    mend = (
+        f"add the line {UNFUSED_SUMS} to {flags}, which XLA_FLAGS names"
+        if names_a_file(flags)
+        else f"import august_jax before JAX computes, or set XLA_FLAGS={UNFUSED_SUMS}"
+    )
     return False, f"jaxlib {version('jaxlib')} fuses sums wrongly: {'; '.join(wrong)}; {mend}"
 
 
@@ -133,10 +154,14 @@ def _disk(out: Path) -> tuple[bool, str]:
     out = next(path for path in (out, *out.absolute().parents) if path.is_dir())
     free = shutil.disk_usage(out).free
     data = {name: bytes_of(config.preset(name)) for name in config.PRESETS}
-    needs = ", ".join(f"{name} {max(size / 1024**3, 0.1):.1f}{'' if size < free else ' (more than there is)'}"
-                      for name, size in data.items())
-    return free > _ROOM_BYTES, (f"{free / 1024**3:.1f} GiB free; wanted {_ROOM_BYTES / 1024**3:.0f}, and for august "
-                                f"simulate by preset [GiB]: {needs}")
+    needs = ", ".join(
+        f"{name} {max(size / 1024**3, 0.1):.1f}{'' if size < free else ' (more than there is)'}"
+        for name, size in data.items()
+    )
+    return free > _ROOM_BYTES, (
+        f"{free / 1024**3:.1f} GiB free; wanted {_ROOM_BYTES / 1024**3:.0f}, and for august "
+        f"simulate by preset [GiB]: {needs}"
+    )
 
 
 def _weights() -> tuple[bool, str]:

@@ -90,8 +90,12 @@ def many_axes_fault() -> str | None:
     code = f"from {__name__} import MANY_AXES, wrong_sums; print('; '.join(wrong_sums(MANY_AXES)))"
     try:
         run = subprocess.run(
-            [sys.executable, "-c", code], env=os.environ | {"JAX_PLATFORMS": "cpu"}, text=True, capture_output=True,
-            timeout=_PATIENCE_S, check=False,
+            [sys.executable, "-c", code],
+            env=os.environ | {"JAX_PLATFORMS": "cpu"},
+            text=True,
+            capture_output=True,
+            timeout=_PATIENCE_S,
+            check=False,
         )
     except subprocess.TimeoutExpired:
         return f"products with 7 or 8 axes do not end within {_PATIENCE_S:.0f} s"

@@ -48,12 +48,15 @@ class Dataset:
                     whole = False
                 damaged = damaged if whole else f"{column}.npy"
             if damaged:
-                raise DataError(f"{folder / name}: {damaged} is damaged; simulate once more with verify=True, which "
-                                "makes it again")
+                raise DataError(
+                    f"{folder / name}: {damaged} is damaged; simulate once more with verify=True, which makes it again"
+                )
             self._shards.append(columns)
         if manifest["rows"] < manifest["wanted"]:
-            raise DataError(f"folder: {folder} holds {manifest['rows']} of {manifest['wanted']} samples; run the `august "
-                            "simulate` that made them once more: it makes what is missing")
+            raise DataError(
+                f"folder: {folder} holds {manifest['rows']} of {manifest['wanted']} samples; run the `august "
+                "simulate` that made them once more: it makes what is missing"
+            )
         self._starts = np.cumsum([0, *(len(columns["flight"]) for columns in self._shards)])
         self.count = int(self._starts[-1])
         self.flights = np.concatenate([columns["flight"] for columns in self._shards])
@@ -74,11 +77,14 @@ class Dataset:
         """
         places = np.asarray(places)
         if places.ndim != 1 or not (np.issubdtype(places.dtype, np.integer)):
-            raise ValueError(f"places: got {places.dtype} of shape {places.shape}; give row numbers (n,), of a mask m "
-                             "np.flatnonzero(m)")
+            raise ValueError(
+                f"places: got {places.dtype} of shape {places.shape}; give row numbers (n,), of a mask m "
+                "np.flatnonzero(m)"
+            )
         if places.size and not -self.count <= places.min() <= places.max() < self.count:
-            raise ValueError(f"places: {places.min()} to {places.max()} are out of range; the rows are 0 to "
-                             f"{self.count - 1}")
+            raise ValueError(
+                f"places: {places.min()} to {places.max()} are out of range; the rows are 0 to {self.count - 1}"
+            )
         places = places.astype(np.int64) % max(self.count, 1)
         shard = np.searchsorted(self._starts, places, side="right") - 1
         result: dict[str, np.ndarray] = {}

@@ -142,8 +142,9 @@ def unpack(packed: Array) -> Array:
     """
     size = int((np.sqrt(8 * packed.shape[-1] + 1) - 1) / 2)
     if size * (size + 1) // 2 != packed.shape[-1]:
-        raise ValueError(f"packed: got {packed.shape[-1]} numbers a matrix, which no upper triangle has; give what "
-                         "pack made")
+        raise ValueError(
+            f"packed: got {packed.shape[-1]} numbers a matrix, which no upper triangle has; give what pack made"
+        )
     rows, columns = np.triu_indices(size)
     place = np.zeros((size, size), np.int32)
     place[rows, columns] = place[columns, rows] = np.arange(len(rows))

@@ -15,7 +15,6 @@ from functools import partial
 from typing import Literal
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Int
 
@@ -86,8 +85,9 @@ def generate(
             batch = mine[start : start + _BATCH]
             filled = np.pad(batch, (0, _BATCH - len(batch)), mode="edge")
             keys = tuple(streams.members(parent, rows[filled]) for parent in parents)
-            results = _compiled(keys, {name: value[filled] for name, value in known.items()}, target.scatterer,
-                                *target.surface, config)
+            results = _compiled(
+                keys, {name: value[filled] for name, value in known.items()}, target.scatterer, *target.surface, config
+            )
             for name, value in results.items():
                 store = drawn.setdefault(name, np.empty((len(rows), *value.shape[1:]), value.dtype))
                 store[batch] = np.asarray(value)[: len(batch)]
@@ -98,17 +98,26 @@ def generate(
 @partial(jax.jit, static_argnames="config")
 def _compiled(keys, known, scatterer: Body | Cells, surface, cumulative, config: Config) -> dict[str, jax.Array]:
     def one(points_key, observation_key, row):
-        channel = simulated_channel(config, scatterer, row["rotation"], row["position"], row["permittivity"],
-                               row["conductivity"])
+        channel = simulated_channel(
+            config, scatterer, row["rotation"], row["position"], row["permittivity"], row["conductivity"]
+        )
         points = sample_triangles(points_key, surface, cumulative, config.target.points) @ row["rotation"].T
         found = {"points": points, "true_channel": pack(channel)}
         if config.data.observed:
             predicted_key, level_key, echo_key = jax.random.split(observation_key, 3)
             predicted = draw_prediction(predicted_key, row["position"], config)
-            seen = observe(echo_key, channel, predicted, array=config.array, signal=config.signal,
-                           region=config.region, **draw_level(level_key, config))
-            found |= Observed(predicted, seen.snr_db, seen.snr_estimate_db, seen.power_dbm,
-                              pack(seen.estimated_channel))._asdict()
+            seen = observe(
+                echo_key,
+                channel,
+                predicted,
+                array=config.array,
+                signal=config.signal,
+                region=config.region,
+                **draw_level(level_key, config),
+            )
+            found |= Observed(
+                predicted, seen.snr_db, seen.snr_estimate_db, seen.power_dbm, pack(seen.estimated_channel)
+            )._asdict()
         return found
 
     return jax.vmap(one)(*keys, known)  # type: ignore[call-arg]  # keys are two

@@ -43,6 +43,7 @@ def observed_anew(key: jax.Array, samples: Sample, config: Config, snr_db: Array
         config: static.
         snr_db: () or None; None draws the level as the configuration says.
     """
+
     def one(key: jax.Array, packed: jax.Array, position: jax.Array):
         predicted_key, level_key, echo_key = jax.random.split(key, 3)
         predicted = draw_prediction(predicted_key, position, config)
@@ -62,12 +63,15 @@ def as_observed(samples: Sample, config: Config) -> Batch:
         ValueError: that was not kept.
     """
     if samples.observed is None:
-        raise ValueError("data.observed: these samples were made with false, without what the base station made of "
-                         "them; set train.reobserve=true, or make others with data.observed=true")
+        raise ValueError(
+            "data.observed: these samples were made with false, without what the base station made of "
+            "them; set train.reobserve=true, or make others with data.observed=true"
+        )
     seen = samples.observed
     heard = unpack(jnp.asarray(seen.estimated_channel))
-    return _batch(samples.each(jnp.asarray), jnp.asarray(seen.predicted), jnp.asarray(seen.snr_estimate_db), heard,
-                  config)
+    return _batch(
+        samples.each(jnp.asarray), jnp.asarray(seen.predicted), jnp.asarray(seen.snr_estimate_db), heard, config
+    )
 
 
 def batch_of(key: jax.Array, samples: Sample, config: Config) -> Batch:
@@ -75,9 +79,11 @@ def batch_of(key: jax.Array, samples: Sample, config: Config) -> Batch:
     return observed_anew(key, samples, config) if config.train.reobserve else as_observed(samples, config)
 
 
-def _batch(samples: Sample, predicted: jax.Array, snr_db: jax.Array, heard: Array | Coefficients,
-           config: Config) -> Batch:
-    cloud = to_cloud(samples.points, samples.position, predicted, samples.permittivity, samples.conductivity,
-                     config.region)
+def _batch(
+    samples: Sample, predicted: jax.Array, snr_db: jax.Array, heard: Array | Coefficients, config: Config
+) -> Batch:
+    cloud = to_cloud(
+        samples.points, samples.position, predicted, samples.permittivity, samples.conductivity, config.region
+    )
     form = {"coefficients" if isinstance(heard, Coefficients) else "estimated_channel": heard}
     return Batch(predicted=predicted, snr_db=snr_db, cloud=cloud, **form)

@@ -79,12 +79,15 @@ def simulate(
             )
         most = max((high for _, high in found["shards"].values()), default=0)
         if most > config.data.count:
-            raise DataError(f"data.count: {config.data.count} is less than the {most} samples that {folder} holds; ask "
-                            "for at least as many, or choose another folder")
+            raise DataError(
+                f"data.count: {config.data.count} is less than the {most} samples that {folder} holds; ask "
+                "for at least as many, or choose another folder"
+            )
     count, size = config.data.count, config.data.shard_rows
     spans = {number: (start, min(start + size, count)) for number, start in enumerate(range(0, count, size))}
     missing = [
-        number for number in spans
+        number
+        for number in spans
         if number % parts == index - 1 and not _complete(folder / shard_name(number), spans[number], digest, verify)
     ]
     began = time.perf_counter()
@@ -131,8 +134,10 @@ def _check_room(folder: Path, config: Config, rows: int, progress: Progress) -> 
     free = shutil.disk_usage(place).free
     progress(f"{rows} samples take {_size(wanted)} in {folder}; {_size(free)} are free there")
     if wanted > free:
-        raise DataError(f"data.count: {rows} samples take {_size(wanted)}, but {place} has {_size(free)} free; make "
-                        "room, choose another folder or fewer samples")
+        raise DataError(
+            f"data.count: {rows} samples take {_size(wanted)}, but {place} has {_size(free)} free; make "
+            "room, choose another folder or fewer samples"
+        )
 
 
 def _size(count: int) -> str:
@@ -164,8 +169,10 @@ def read_manifest(folder: str | Path) -> dict[str, Any]:
     if not isinstance(manifest, dict) or not {"format", "digest", "wanted"} <= set(manifest):
         raise DataError(f"{path}: is damaged; remove it and run `august simulate` again, which keeps the shards")
     if manifest["format"] != _FORMAT:
-        raise DataError(f"folder: {folder} holds data of another version (format {manifest['format']}, wanted {_FORMAT}); "
-                        "make them again with `august simulate`, in another folder")
+        raise DataError(
+            f"folder: {folder} holds data of another version (format {manifest['format']}, wanted {_FORMAT}); "
+            "make them again with `august simulate`, in another folder"
+        )
     return manifest | _present(Path(folder), manifest["digest"])
 
 
@@ -209,8 +216,14 @@ def _write_shard(folder: Path, number: int, columns: dict[str, np.ndarray], span
 
 
 def _write_manifest(folder: Path, config: Config, digest: str) -> None:
-    manifest = {"format": _FORMAT, "digest": digest, "preset": config.preset, "wanted": config.data.count,
-                "airframes": list(config.target.airframes), **_present(folder, digest)}
+    manifest = {
+        "format": _FORMAT,
+        "digest": digest,
+        "preset": config.preset,
+        "wanted": config.data.count,
+        "airframes": list(config.target.airframes),
+        **_present(folder, digest),
+    }
     write_text(folder / "config.yaml", to_yaml(config))
     write_text(folder / "manifest.json", json.dumps(manifest, indent=1))
 

@@ -112,11 +112,17 @@ def prepare_targets(config: Config, progress: Progress = silent) -> list[Target]
         bodies = alike(bodies)
     most = max(len(airframe.surface[0]) for airframe in airframes)
     # Repeating the last triangle adds no area: it is never chosen.
-    surfaces = [tuple(np.pad(part, [(0, most - len(part))] + [(0, 0)] * (part.ndim - 1), mode="edge")
-                      for part in airframe.surface) for airframe in airframes]
+    surfaces = [
+        tuple(
+            np.pad(part, [(0, most - len(part))] + [(0, 0)] * (part.ndim - 1), mode="edge") for part in airframe.surface
+        )
+        for airframe in airframes
+    ]
     found: Sequence[Body | None] = bodies or [None] * len(airframes)
-    return [Target(airframe, *lattice, body, surface) for airframe, lattice, body, surface
-            in zip(airframes, lattices, found, surfaces, strict=True)]
+    return [
+        Target(airframe, *lattice, body, surface)
+        for airframe, lattice, body, surface in zip(airframes, lattices, found, surfaces, strict=True)
+    ]
 
 
 def contrast_of(config: Config, permittivity: ArrayLike, conductivity: ArrayLike) -> Complex[jax.Array, " tones"]:
@@ -133,7 +139,9 @@ def simulated_channel(
     permittivity: ArrayLike,
     conductivity: ArrayLike,
 ) -> Complex[jax.Array, "tones antennas antennas"]:
-    """The true channel H of one craft in one pose (F, N_b, N_b) complex64, by ``config.data.solver``; pure, ``config`` static.
+    """The true channel H of one craft in one pose (F, N_b, N_b) complex64, by ``config.data.solver``.
+
+    A pure function, in which ``config`` is static.
 
     Args:
         config: array, tones and solver.

@@ -6,6 +6,15 @@ from august_jax.evaluation.metrics import along_and_across_m, mcd_db, mde, mpe_m
 from august_jax.evaluation.score import NOTE, score, score_track
 
 __all__ = [
-    "NOTE", "Bound", "along_and_across_m", "evaluate", "mcd_db", "mde", "mpe_m", "score", "score_track", "validator",
+    "NOTE",
+    "Bound",
+    "along_and_across_m",
+    "evaluate",
+    "mcd_db",
+    "mde",
+    "mpe_m",
+    "score",
+    "score_track",
+    "validator",
     "wd_db",
 ]

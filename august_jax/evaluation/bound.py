@@ -23,9 +23,10 @@ SAMPLES = 100
 """Samples over which the bound is averaged."""
 
 
-def unit_information(samples: Sample, predicted: Float[Array, "n 3"], targets: Sequence[Target],
-                     config: Config) -> Float[np.ndarray, "m parameters parameters"] | None:
-    """Fisher information (n, 10, 10) of samples, airframe by airframe, at an SNR of 1; it grows in proportion to the SNR.
+def unit_information(
+    samples: Sample, predicted: Float[Array, "n 3"], targets: Sequence[Target], config: Config
+) -> Float[np.ndarray, "m parameters parameters"] | None:
+    """Fisher information (n, 10, 10) of samples, airframe by airframe, at an SNR of 1; it grows as the SNR does.
 
     Args:
         samples: n of them, sorted by airframe.
@@ -47,14 +48,24 @@ def unit_information(samples: Sample, predicted: Float[Array, "n 3"], targets: S
         if len(mine) and target.body is not None:
             books = [codebook(jnp.asarray(place), config.array, config.signal) for place in predicted[mine]]
             lit = np.stack([np.asarray(book @ book.conj().T) for book in books])
-            found.append(fisher_information(
-                target.body, array, samples.rotation[mine], samples.position[mine],
-                samples.permittivity[mine], samples.conductivity[mine], repeats, illumination=lit))
+            found.append(
+                fisher_information(
+                    target.body,
+                    array,
+                    samples.rotation[mine],
+                    samples.position[mine],
+                    samples.permittivity[mine],
+                    samples.conductivity[mine],
+                    repeats,
+                    illumination=lit,
+                )
+            )
     return np.concatenate(found)
 
 
 def spread_of(config: Config) -> Spread:
     """What is known before the echo: the prediction's threshold, the ranges of tilt and material, any heading."""
+
     def uniform(low: float, high: float) -> float:
         return max(high - low, 1e-6 * max(abs(high), 1e-9)) / np.sqrt(12.0)
 
@@ -62,7 +73,8 @@ def spread_of(config: Config) -> Spread:
         position_m=max(uniform(-config.region.threshold_m, config.region.threshold_m), 1e-6),
         turn_rad=uniform(*np.deg2rad([-config.flight.tilt_deg, config.flight.tilt_deg])),
         heading_rad=uniform(-np.pi, np.pi),
-        permittivity=uniform(*config.target.permittivity), conductivity=uniform(*config.target.conductivity_s_m),
+        permittivity=uniform(*config.target.permittivity),
+        conductivity=uniform(*config.target.conductivity_s_m),
     )
 
 
@@ -86,5 +98,7 @@ class Bound:
             return {"bound_m": None, "bound_mde": None}
         known = 10.0 ** (snr_db / 10.0) * self._information
         tilts = tilt_bound(known, self._normal, self._spread)
-        return {"bound_m": float(np.mean(mean_position_error(known, self._spread))),
-                "bound_mde": float(np.mean(0.5 * tilts**2))}  # 1 - cos of small angles
+        return {
+            "bound_m": float(np.mean(mean_position_error(known, self._spread))),
+            "bound_mde": float(np.mean(0.5 * tilts**2)),
+        }  # 1 - cos of small angles

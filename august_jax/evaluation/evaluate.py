@@ -83,25 +83,41 @@ def evaluate(networks: Networks, config: Config, *, seed: int, progress: Progres
                 scored = score(answer, truth, config.target.half_wheelbase_m)
                 if not SCHEMES[name].hears:
                     deaf[name] = scored
-            rows.append({"scheme": name, "label": SCHEMES[name].label, "snr_db": snr_db, **scored, "count": count,
-                         **bound.at(snr_db)})
+            rows.append(
+                {
+                    "scheme": name,
+                    "label": SCHEMES[name].label,
+                    "snr_db": snr_db,
+                    **scored,
+                    "count": count,
+                    **bound.at(snr_db),
+                }
+            )
         left = (time.monotonic() - began) / done * (len(levels) - done)
-        errors = {row["scheme"]: row["mpe_m"] for row in rows[-len(asks):] if row["mpe_m"] is not None}
-        progress(f"SNR {snr_db:g} dB: MPE {', '.join(f'{name} {error:.3f}' for name, error in errors.items())} m  "
-                 f"{left:.0f} s left")
+        errors = {row["scheme"]: row["mpe_m"] for row in rows[-len(asks) :] if row["mpe_m"] is not None}
+        progress(
+            f"SNR {snr_db:g} dB: MPE {', '.join(f'{name} {error:.3f}' for name, error in errors.items())} m  "
+            f"{left:.0f} s left"
+        )
     return rows
 
 
 def _in_pieces(ask: Ask, key: jax.Array, slots: Slots) -> Answer:
-    answers = [ask(jax.random.fold_in(key, start), slots.at(slice(start, start + _PIECE)))
-               for start in range(0, slots.slots, _PIECE)]
+    answers = [
+        ask(jax.random.fold_in(key, start), slots.at(slice(start, start + _PIECE)))
+        for start in range(0, slots.slots, _PIECE)
+    ]
     return jax.tree.map(lambda *parts: jnp.concatenate(parts), *answers)
 
 
 def _resampled(key: jax.Array, samples: Sample, airframes: Sequence[Airframe], count: int) -> jax.Array:
     """The true clouds in the world (B, count, 3) [m], drawn a second time."""
-    bodies = jnp.stack([airframe.sample_surface(jax.random.fold_in(key, row), count)
-                        for row, airframe in enumerate(airframes[index] for index in samples.airframe)])
+    bodies = jnp.stack(
+        [
+            airframe.sample_surface(jax.random.fold_in(key, row), count)
+            for row, airframe in enumerate(airframes[index] for index in samples.airframe)
+        ]
+    )
     return jnp.asarray(transform(bodies, samples.rotation, samples.position))
 
 
@@ -127,11 +143,21 @@ def validator(
     position = jnp.asarray(samples.position)
 
     def validate(graphdef: nnx.GraphDef, state: State, step: int) -> dict[str, float]:
-        cloud = reconstruct(graphdef, state, cloud_key, batch.heard, batch.predicted, batch.snr_db,
-                            count=min(128, config.target.points), sampler=config.evaluate.sampler,
-                            steps=config.evaluate.sampler_steps)
+        cloud = reconstruct(
+            graphdef,
+            state,
+            cloud_key,
+            batch.heard,
+            batch.predicted,
+            batch.snr_db,
+            count=min(128, config.target.points),
+            sampler=config.evaluate.sampler,
+            steps=config.evaluate.sampler_steps,
+        )
         estimate = position_estimate(cloud, batch.predicted, config.region)
-        return {"validation_mpe_m": float(metrics.mpe_m(estimate, position)),
-                "validation_prediction_m": float(metrics.mpe_m(batch.predicted, position))}
+        return {
+            "validation_mpe_m": float(metrics.mpe_m(estimate, position)),
+            "validation_prediction_m": float(metrics.mpe_m(batch.predicted, position)),
+        }
 
     return validate

@@ -54,7 +54,9 @@ def shape_distance(estimated: Float[Array, "n 3"], true: Float[Array, "m 3"]) ->
 
 
 def weighted_distance(
-    estimated: Float[Array, "n 3"], true: Float[Array, "m 3"], estimated_position: Float[Array, "3"],
+    estimated: Float[Array, "n 3"],
+    true: Float[Array, "m 3"],
+    estimated_position: Float[Array, "3"],
     position: Float[Array, "3"],
 ) -> Scalar:
     """:func:`shape_distance` of two clouds plus the squared distance of two positions (3,) [m], in m^2."""
@@ -67,8 +69,12 @@ def _shape_distances(estimated, true):
 
 
 def wd_db(
-    estimated: Float[Array, "batch n 3"], true: Float[Array, "batch m 3"], estimated_position: Float[Array, "batch 3"],
-    position: Float[Array, "batch 3"], *, size_m: ArrayLike = 1.0,
+    estimated: Float[Array, "batch n 3"],
+    true: Float[Array, "batch m 3"],
+    estimated_position: Float[Array, "batch 3"],
+    position: Float[Array, "batch 3"],
+    *,
+    size_m: ArrayLike = 1.0,
 ) -> Scalar:
     """Weighted distance of a batch [dB].
 
@@ -87,9 +93,7 @@ def wd_db(
     return 10.0 * jnp.log10(jnp.mean((_shape_distances(estimated, true) + squared) / jnp.square(size_m)))
 
 
-def mcd_db(
-    estimated: Float[Array, "batch n 3"], true: Float[Array, "batch m 3"], *, size_m: ArrayLike = 1.0
-) -> Scalar:
+def mcd_db(estimated: Float[Array, "batch n 3"], true: Float[Array, "batch m 3"], *, size_m: ArrayLike = 1.0) -> Scalar:
     """Mean Chamfer distance of a batch of centred clouds [dB]; arguments and errors as in :func:`wd_db`."""
     _check_clouds(estimated, true)
     return 10.0 * jnp.log10(jnp.mean(_shape_distances(estimated, true) / jnp.square(size_m)))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import warnings
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -41,7 +40,8 @@ def score(answer: Answer, truth: Truth, size_m: float) -> dict[str, float | None
         root-mean-square error along the line of sight and across it [m].
     """
     values: dict[str, float | None] = dict.fromkeys(
-        ("mpe_m", "mpe_se_m", "mde", "mde_triples", "wd_db", "wd_size_db", "mcd_db", "along_m", "across_m"))
+        ("mpe_m", "mpe_se_m", "mde", "mde_triples", "wd_db", "wd_size_db", "mcd_db", "along_m", "across_m")
+    )
     if answer.position is not None:
         values["mpe_m"] = float(metrics.mpe_m(answer.position, truth.position))
         errors = np.linalg.norm(np.asarray(answer.position) - truth.position, axis=-1)
@@ -59,8 +59,11 @@ def score(answer: Answer, truth: Truth, size_m: float) -> dict[str, float | None
         if place is None:
             raise ValueError("answer: got a cloud without a position or a centre; say where it lies")
         wd_db = float(metrics.wd_db(answer.cloud.points, truth.cloud, place, truth.position))
-        values |= {"wd_db": wd_db, "wd_size_db": wd_db - float(20.0 * np.log10(size_m)),
-                   "mcd_db": float(metrics.mcd_db(answer.cloud.points, truth.cloud))}
+        values |= {
+            "wd_db": wd_db,
+            "wd_size_db": wd_db - float(20.0 * np.log10(size_m)),
+            "mcd_db": float(metrics.mcd_db(answer.cloud.points, truth.cloud)),
+        }
     return values
 
 
@@ -88,10 +91,14 @@ def score_track(track: Track, config: Config, size_m: float, *, seed: int = 0) -
     truth = Truth(np.zeros_like(track.position), track.normal, track.truth - origin, track.resampled - origin)
     points = jnp.asarray(track.points - origin)
     root = streams.key(seed, "sense.answer")
-    answers = {"august": Answer(
-        position=track.estimated_position - track.position, normal=track.normal_estimate,
-        triple_normal=cloud_normals(streams.named(root, "august"), points)[1],
-        cloud=WorldCloud(points, track.point_permittivity, track.point_conductivity))}
+    answers = {
+        "august": Answer(
+            position=track.estimated_position - track.position,
+            normal=track.normal_estimate,
+            triple_normal=cloud_normals(streams.named(root, "august"), points)[1],
+            cloud=WorldCloud(points, track.point_permittivity, track.point_conductivity),
+        )
+    }
     try:
         airframes = [resolve_airframe(name, config.target.half_wheelbase_m) for name in config.target.airframes]
     except ValueError as error:
@@ -103,8 +110,10 @@ def score_track(track: Track, config: Config, size_m: float, *, seed: int = 0) -
         ask = None if scheme.hears else scheme.prepare(setting)
         if ask is not None:
             answers[name] = ask(streams.named(root, name), slots)
-    rows = [{"scheme": name, "label": SCHEMES[name].label, **score(answer, truth, size_m)}
-            for name, answer in answers.items()]
+    rows = [
+        {"scheme": name, "label": SCHEMES[name].label, **score(answer, truth, size_m)}
+        for name, answer in answers.items()
+    ]
     return {"slots": [_slot(track, number) for number in range(track.slots)], "schemes": rows}
 
 

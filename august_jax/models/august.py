@@ -137,8 +137,15 @@ class August(nnx.Module):
         offset = self._frame(seen).faced(seen.offset[:, None])[:, 0]
         return reading._replace(place=reading.place + offset)
 
-    def loss(self, key: Key[Array, ""], heard: Heard, predicted: Array, snr_db: Array, cloud: Array,
-             reference: Heard | None = None) -> tuple[Float[jax.Array, ""], dict[str, Float[jax.Array, ""]]]:
+    def loss(
+        self,
+        key: Key[Array, ""],
+        heard: Heard,
+        predicted: Array,
+        snr_db: Array,
+        cloud: Array,
+        reference: Heard | None = None,
+    ) -> tuple[Float[jax.Array, ""], dict[str, Float[jax.Array, ""]]]:
         """The training loss () and its terms, unweighted, by name.
 
         Args:
@@ -169,8 +176,9 @@ class August(nnx.Module):
             estimate = self.reference(seen)
             condition = read = self.reference.channel_map(estimate)
             if reference is None:
-                raise ValueError("reference: got None; the scheme 'refchannel' learns from channels at the reference "
-                                 "place")
+                raise ValueError(
+                    "reference: got None; the scheme 'refchannel' learns from channels at the reference place"
+                )
             terms["reference"] = self.reference.loss(estimate, reference)
 
         points = cloud
@@ -193,15 +201,28 @@ class August(nnx.Module):
         terms["position"] = jnp.mean(jnp.sum(error[..., :3], axis=-1))
         terms["material"] = jnp.mean(jnp.sum(error[..., 3:], axis=-1))
         weights = {
-            "position": train.weight_position, "material": train.weight_material, "latent": train.weight_latent,
-            "reference": 1.0, "readout": train.weight_readout, "signature": train.weight_position,
+            "position": train.weight_position,
+            "material": train.weight_material,
+            "latent": train.weight_latent,
+            "reference": 1.0,
+            "readout": train.weight_readout,
+            "signature": train.weight_position,
         }
         return sum((weights[name] * term for name, term in terms.items()), jnp.zeros((), jnp.float32)), terms
 
-    def reconstruct(self, key: Key[Array, ""], heard: Heard, predicted: Float[Array, "batch 3"],
-                    snr_db: Float[Array, " batch"], count: int, *, sampler: Sampler = "dpm", steps: int = 10,
-                    sample_latent: bool = False, instants: tuple[int, ...] = (),
-                    ) -> Float[jax.Array, "*instants batch {count} 5"]:
+    def reconstruct(
+        self,
+        key: Key[Array, ""],
+        heard: Heard,
+        predicted: Float[Array, "batch 3"],
+        snr_db: Float[Array, " batch"],
+        count: int,
+        *,
+        sampler: Sampler = "dpm",
+        steps: int = 10,
+        sample_latent: bool = False,
+        instants: tuple[int, ...] = (),
+    ) -> Float[jax.Array, "*instants batch {count} 5"]:
         """Clouds (B, ``count``, 5) drawn given the channels.
 
         Args:
@@ -259,14 +280,33 @@ def create(config: Config, seed: int) -> tuple[nnx.GraphDef, State]:
 
 
 @partial(jax.jit, static_argnames=("graphdef", "count", "sampler", "steps", "sample_latent", "instants"))
-def reconstruct(graphdef: nnx.GraphDef, state: State, key: Key[Array, ""], heard: Heard,
-                predicted: Float[Array, "batch 3"], snr_db: Float[Array, " batch"], *, count: int,
-                sampler: Sampler = "dpm", steps: int = 10, sample_latent: bool = False, instants: tuple[int, ...] = (),
-                ) -> Float[jax.Array, "*instants batch {count} 5"]:
+def reconstruct(
+    graphdef: nnx.GraphDef,
+    state: State,
+    key: Key[Array, ""],
+    heard: Heard,
+    predicted: Float[Array, "batch 3"],
+    snr_db: Float[Array, " batch"],
+    *,
+    count: int,
+    sampler: Sampler = "dpm",
+    steps: int = 10,
+    sample_latent: bool = False,
+    instants: tuple[int, ...] = (),
+) -> Float[jax.Array, "*instants batch {count} 5"]:
     """:meth:`August.reconstruct` of networks that :func:`create` split, compiled once for each shape."""
     model = nnx.merge(graphdef, state)
-    return model.reconstruct(key, heard, predicted, snr_db, count, sampler=sampler, steps=steps,
-                             sample_latent=sample_latent, instants=instants)
+    return model.reconstruct(
+        key,
+        heard,
+        predicted,
+        snr_db,
+        count,
+        sampler=sampler,
+        steps=steps,
+        sample_latent=sample_latent,
+        instants=instants,
+    )
 
 
 def parameter_count(state: State) -> int:
@@ -276,8 +316,11 @@ def parameter_count(state: State) -> int:
 
 def _check_batch(predicted: Array, snr_db: Array, cloud: Array) -> None:
     clouds = cloud.shape[0] if cloud.ndim else 0
-    for name, array, shape in (("predicted", predicted, (clouds, 3)), ("snr_db", snr_db, (clouds,)),
-                               ("cloud", cloud, (clouds, *cloud.shape[1:2], 5))):
+    for name, array, shape in (
+        ("predicted", predicted, (clouds, 3)),
+        ("snr_db", snr_db, (clouds,)),
+        ("cloud", cloud, (clouds, *cloud.shape[1:2], 5)),
+    ):
         if array.shape != shape:
             raise ValueError(f"{name}: got shape {array.shape}; with {clouds} clouds it must be {shape}")
 

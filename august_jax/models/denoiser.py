@@ -33,8 +33,9 @@ _OCTAVES = 6
 _CPU_ROWS = 2048
 
 
-def step_features(step: Int[Array, "*batch"], schedule: Schedule,
-                  kind: TimeEmbedding) -> Float[jax.Array, "*batch features"]:
+def step_features(
+    step: Int[Array, "*batch"], schedule: Schedule, kind: TimeEmbedding
+) -> Float[jax.Array, "*batch features"]:
     """Features (..., T) of the diffusion step s (...,) in 1..S; ``kind`` as in the module's top."""
     if kind == "paper":
         part = step[..., None] / schedule.steps
@@ -52,8 +53,9 @@ class ConcatSquash(nnx.Module):
         self.gate = dense(context, features_out, rngs=rngs)
         self.shift = dense(context, features_out, gain=0.0 if zero else 1.0, bias=False, rngs=rngs)
 
-    def modulation(self, context: Float[Array, "batch context"]) -> tuple[Float[jax.Array, "batch out"],
-                                                                          Float[Array, "batch out"]]:
+    def modulation(
+        self, context: Float[Array, "batch context"]
+    ) -> tuple[Float[jax.Array, "batch out"], Float[Array, "batch out"]]:
         """What a cloud's context (B, C) does to the layer: the gate and the addend, each (B, out)."""
         gate = 2.0 * jax.nn.sigmoid(self.gate(context))
         return gate, gate * self.linear.bias[...] + self.shift(context)
@@ -62,8 +64,16 @@ class ConcatSquash(nnx.Module):
 class Denoiser(nnx.Module):
     """eps_theta(p, s, condition) for points of ``dimensions`` coordinates and a condition of ``condition`` numbers."""
 
-    def __init__(self, widths: tuple[int, ...], condition: int, schedule: Schedule, time_embedding: TimeEmbedding, *,
-                 rngs: nnx.Rngs, dimensions: int = 5):
+    def __init__(
+        self,
+        widths: tuple[int, ...],
+        condition: int,
+        schedule: Schedule,
+        time_embedding: TimeEmbedding,
+        *,
+        rngs: nnx.Rngs,
+        dimensions: int = 5,
+    ):
         self.schedule = schedule
         self.time_embedding = time_embedding
         times = 5 if time_embedding == "paper" else 2 * _OCTAVES + 1
@@ -73,8 +83,12 @@ class Denoiser(nnx.Module):
             for index, (a, b) in enumerate(zip(sizes, sizes[1:]))
         )
 
-    def __call__(self, points: Float[Array, "batch points dimensions"], step: Int[Array, " batch"] | Int[Array, ""],
-                 condition: Float[Array, "batch condition"]) -> Float[jax.Array, "batch points dimensions"]:
+    def __call__(
+        self,
+        points: Float[Array, "batch points dimensions"],
+        step: Int[Array, " batch"] | Int[Array, ""],
+        condition: Float[Array, "batch condition"],
+    ) -> Float[jax.Array, "batch points dimensions"]:
         """Estimated noise (B, P, D) of points (B, P, D) at the step s (B,) or () under the condition (B, C)."""
         step = jnp.broadcast_to(step, points.shape[:1])
         context = jnp.concatenate([step_features(step, self.schedule, self.time_embedding), condition], axis=-1)
@@ -95,7 +109,10 @@ class Denoiser(nnx.Module):
         group = min(batch, max(1, _CPU_ROWS // count))
         groups = math.ceil(batch / group)
         split = jax.tree.map(
-            lambda array: jnp.pad(array, ((0, groups * group - batch), *[(0, 0)] * (array.ndim - 1)))
-            .reshape(groups, group, *array.shape[1:]), (points, modulations))
+            lambda array: jnp.pad(array, ((0, groups * group - batch), *[(0, 0)] * (array.ndim - 1))).reshape(
+                groups, group, *array.shape[1:]
+            ),
+            (points, modulations),
+        )
         _, noise = jax.lax.scan(lambda _, part: (None, jax.checkpoint(through)(*part)), None, split)
         return noise.reshape(groups * group, *points.shape[1:])[:batch]

@@ -67,15 +67,24 @@ def draw_steps(key: Key[Array, ""], count: int, schedule: Schedule) -> Int[jax.A
     return jnp.minimum(1 + (places * schedule.steps).astype(jnp.int32), schedule.steps)
 
 
-def add_noise(points: Float[Array, "batch points dimensions"], noise: Float[Array, "batch points dimensions"],
-              step: Int[Array, " batch"], schedule: Schedule) -> Float[jax.Array, "batch points dimensions"]:
+def add_noise(
+    points: Float[Array, "batch points dimensions"],
+    noise: Float[Array, "batch points dimensions"],
+    step: Int[Array, " batch"],
+    schedule: Schedule,
+) -> Float[jax.Array, "batch points dimensions"]:
     """p_s (B, P, D) from p_0 (B, P, D), unit noise of that shape and the step s (B,) of each cloud."""
     bars = jnp.asarray(schedule.alpha_bars, points.dtype)[step][:, None, None]
     return jnp.sqrt(bars) * points + jnp.sqrt(1.0 - bars) * noise
 
 
-def ancestral(key: Key[Array, ""], denoise: Denoise, shape: tuple[int, int, int], schedule: Schedule,
-              instants: tuple[int, ...] = ()) -> Float[jax.Array, "*instants batch points dimensions"]:
+def ancestral(
+    key: Key[Array, ""],
+    denoise: Denoise,
+    shape: tuple[int, int, int],
+    schedule: Schedule,
+    instants: tuple[int, ...] = (),
+) -> Float[jax.Array, "*instants batch points dimensions"]:
     """Clouds of ``shape`` (B, P, D) by the paper's S-step sampler.
 
     With ``instants``, counts of completed steps in 0..S, the clouds at those instants instead: (I, B, P, D). At S they
@@ -124,8 +133,9 @@ def dpm_steps(schedule: Schedule, evaluations: int) -> Int[np.ndarray, " {evalua
     return np.minimum(slack, schedule.steps - evaluations) + floor
 
 
-def dpm(key: Key[Array, ""], denoise: Denoise, shape: tuple[int, int, int], schedule: Schedule,
-        evaluations: int) -> Float[jax.Array, "batch points dimensions"]:
+def dpm(
+    key: Key[Array, ""], denoise: Denoise, shape: tuple[int, int, int], schedule: Schedule, evaluations: int
+) -> Float[jax.Array, "batch points dimensions"]:
     """Clouds of ``shape`` (B, P, D) by DPM-Solver++(2M) with that many network evaluations; see the module's top."""
     steps = dpm_steps(schedule, evaluations)
     bars = schedule.alpha_bars[steps]

@@ -22,8 +22,9 @@ def fourier_features(values: Float[Array, "*batch values"], octaves: int) -> Flo
     return jnp.concatenate([values, waves.reshape(*values.shape[:-1], -1)], axis=-1)
 
 
-def position_features(predicted: Float[Array, "*batch 3"], octaves: int, flight: FlightConfig, *,
-                      raw_metres: bool) -> Float[jax.Array, "*batch features"]:
+def position_features(
+    predicted: Float[Array, "*batch 3"], octaves: int, flight: FlightConfig, *, raw_metres: bool
+) -> Float[jax.Array, "*batch features"]:
     """xi(q_pre), (..., 3 (2 d + 1)), of predicted positions (..., 3) [m].
 
     ``raw_metres`` keeps the metres, as the paper prints; otherwise the flight box spans [-1, 1].

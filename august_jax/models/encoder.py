@@ -45,8 +45,9 @@ def level(norm: Float[Array, "batch tones"], distance: Float[Array, "batch 1"]) 
     return 4.0 * (jnp.log10(jnp.maximum(norm, 1e-30) * distance**2) + 1.7)
 
 
-def paper_features(channel: Complex[Array, "batch tones antennas antennas"],
-                   predicted: Float[Array, "batch 3"]) -> Float[jax.Array, "batch features"]:
+def paper_features(
+    channel: Complex[Array, "batch tones antennas antennas"], predicted: Float[Array, "batch 3"]
+) -> Float[jax.Array, "batch features"]:
     """Re and Im of vec(H)/||H||_F and :func:`level` at |q_pre|, (B, 2 F N^2 + 1), of channels (B, F, N, N) under
     predictions (B, 3) [m]."""
     flat = channel.reshape(channel.shape[0], -1)
@@ -55,8 +56,11 @@ def paper_features(channel: Complex[Array, "batch tones antennas antennas"],
     return jnp.concatenate([flat.real / norm, flat.imag / norm, level(norm, distance)], axis=-1)
 
 
-def roi_features(coefficients: Complex[Array, "batch tones orders orders"], predicted: Float[Array, "batch 3"],
-                 wavenumbers: Float[Array, " tones"]) -> Float[jax.Array, "batch features"]:
+def roi_features(
+    coefficients: Complex[Array, "batch tones orders orders"],
+    predicted: Float[Array, "batch 3"],
+    wavenumbers: Float[Array, " tones"],
+) -> Float[jax.Array, "batch features"]:
     """Real features (B, D) of subspace coefficients A (B, F, K, K) under predictions (B, 3) [m].
 
     Each tone's A is divided by its Frobenius norm and turned so that A_00, the response to the mean field over the
@@ -176,8 +180,10 @@ class ChannelInput:
     def _check(self, name: str, shape: tuple[int, ...], size: int) -> None:
         tones = len(self.config.array.frequencies_hz)
         if len(shape) != 4 or shape[1:] != (tones, size, size):
-            raise ValueError(f"heard: got {name} of shape {shape}; this array's are (batch, tones, n, n) = "
-                             f"(batch, {tones}, {size}, {size})")
+            raise ValueError(
+                f"heard: got {name} of shape {shape}; this array's are (batch, tones, n, n) = "
+                f"(batch, {tones}, {size}, {size})"
+            )
 
 
 class Encoder(nnx.Module):
@@ -193,8 +199,9 @@ class Encoder(nnx.Module):
             waves = 2 * model.fourier + 1
             self.position_head = MLP(3 * waves, width, width, rngs=rngs)
             self.snr_head = MLP(waves, width, width, rngs=rngs)
-        self.trunk = ResidualMLP(2 * width if embedding else width, model.encoder_features, model.encoder_layers,
-                                 rngs=rngs)
+        self.trunk = ResidualMLP(
+            2 * width if embedding else width, model.encoder_features, model.encoder_layers, rngs=rngs
+        )
 
     def __call__(self, seen: Seen) -> Float[jax.Array, "batch features"]:
         """Features f (B, d_f) of what :class:`ChannelInput` saw."""

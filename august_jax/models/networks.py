@@ -30,8 +30,14 @@ class Networks:
     graphdef: nnx.GraphDef = field(metadata={"static": True})
     state: State
 
-    def reconstruct(self, key: Key[Array, ""], heard: Heard, predicted: Float[Array, "batch 3"],
-                    snr_db: Float[Array, " batch"], config: Config | None = None) -> Float[jax.Array, "batch points 5"]:
+    def reconstruct(
+        self,
+        key: Key[Array, ""],
+        heard: Heard,
+        predicted: Float[Array, "batch 3"],
+        snr_db: Float[Array, " batch"],
+        config: Config | None = None,
+    ) -> Float[jax.Array, "batch points 5"]:
         """Clouds (B, ``target.points``, 5) by the sampler of ``evaluate.sampler``; see :func:`models.reconstruct`.
 
         Args:
@@ -40,5 +46,14 @@ class Networks:
             config: that of the networks, possibly with another sampler and number of points; None takes their own.
         """
         config = self.config if config is None else config
-        return reconstruct(self.graphdef, self.state, key, heard, predicted, snr_db, count=config.target.points,
-                           sampler=config.evaluate.sampler, steps=config.evaluate.sampler_steps)
+        return reconstruct(
+            self.graphdef,
+            self.state,
+            key,
+            heard,
+            predicted,
+            snr_db,
+            count=config.target.points,
+            sampler=config.evaluate.sampler,
+            steps=config.evaluate.sampler_steps,
+        )

@@ -35,8 +35,9 @@ class RefChannel(nnx.Module):
         self.channel_input = ChannelInput(config)
         size = self.channel_input.antennas if model.encoder == "paper" else self.channel_input.orders
         self.size = len(config.array.frequencies_hz) * size * (size + 1)
-        self.trunk = ResidualMLP(self.size + 3 * (2 * model.fourier + 1), model.encoder_features,
-                                 model.encoder_layers, rngs=rngs)
+        self.trunk = ResidualMLP(
+            self.size + 3 * (2 * model.fourier + 1), model.encoder_features, model.encoder_layers, rngs=rngs
+        )
         self.head = dense(model.encoder_features, self.size, rngs=rngs)
         self.channel_map = dense(self.size, model.channel_features, rngs=rngs)
 

@@ -36,8 +36,9 @@ class Signature(nnx.Module):
         self.schedule = schedule
         self.denoiser = Denoiser(_WIDTHS, condition, schedule, time_embedding, rngs=rngs, dimensions=_NUMBERS)
 
-    def loss(self, key: Key[Array, ""], harmonics: Float[Array, "batch 16"],
-             condition: Float[Array, "batch features"]) -> Float[jax.Array, ""]:
+    def loss(
+        self, key: Key[Array, ""], harmonics: Float[Array, "batch 16"], condition: Float[Array, "batch features"]
+    ) -> Float[jax.Array, ""]:
         """Mean squared error of the estimated noise over the 16 numbers and the clouds, ()."""
         step_key, noise_key = jax.random.split(key)
         clean = _SCALE * harmonics[:, None]
@@ -45,8 +46,9 @@ class Signature(nnx.Module):
         found = self.denoiser(add_noise(clean, noise, step, self.schedule), step, condition)
         return jnp.mean((noise - found) ** 2)
 
-    def draw(self, key: Key[Array, ""], condition: Float[Array, "batch features"],
-             sample: PointSampler) -> Float[jax.Array, "batch 16"]:
+    def draw(
+        self, key: Key[Array, ""], condition: Float[Array, "batch features"], sample: PointSampler
+    ) -> Float[jax.Array, "batch 16"]:
         """Harmonics (B, 16) for conditions (B, C)."""
         shape = (len(condition), 1, _NUMBERS)
         return sample(key, lambda points, step: self.denoiser(points, step, condition), shape)[:, 0] / _SCALE

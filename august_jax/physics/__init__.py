@@ -1,15 +1,7 @@
 """The differentiable full-wave simulator: pure functions of arrays, e^{-jwt}, SI units."""
 
 from august_jax.physics.array import AntennaArray, PlanarArray, wavenumber
-from august_jax.physics.body import (
-    Body,
-    alike,
-    body_channel,
-    cache_folder,
-    factor_bodies,
-    factor_body,
-    judge_contrast,
-)
+from august_jax.physics.body import Body, alike, body_channel, cache_folder, factor_bodies, factor_body, judge_contrast
 from august_jax.physics.cells import Cells
 from august_jax.physics.channel import SOLVERS, sensing_channel, sensing_channels
 from august_jax.physics.green import coupling_matrix, dipole_fields, dyadic_green, path_difference
@@ -28,10 +20,41 @@ from august_jax.physics.mom import Solution, interaction_matrix, self_term, solv
 from august_jax.physics.parameters import PARAMETERS, Parameters, moved, parameter_channel, rotation_from_vector
 
 __all__ = [
-    "PARAMETERS", "SOLVERS", "AntennaArray", "Body", "Cells", "KrylovSolution", "Parameters", "PlanarArray",
-    "Solution", "Spread", "alike", "body_channel", "cache_folder", "contrast", "coupling_matrix", "dipole_fields",
-    "dyadic_green", "factor_bodies", "factor_body", "fisher_information", "interaction_matrix", "judge_contrast",
-    "mean_position_error", "moved", "parameter_channel", "path_difference", "position_bound",
-    "rotation_from_vector", "self_term", "sensing_channel", "sensing_channels", "solve_dense", "solve_krylov",
-    "tilt_bound", "unknown_gain_position_bound", "wavenumber", "without_gain",
+    "PARAMETERS",
+    "SOLVERS",
+    "AntennaArray",
+    "Body",
+    "Cells",
+    "KrylovSolution",
+    "Parameters",
+    "PlanarArray",
+    "Solution",
+    "Spread",
+    "alike",
+    "body_channel",
+    "cache_folder",
+    "contrast",
+    "coupling_matrix",
+    "dipole_fields",
+    "dyadic_green",
+    "factor_bodies",
+    "factor_body",
+    "fisher_information",
+    "interaction_matrix",
+    "judge_contrast",
+    "mean_position_error",
+    "moved",
+    "parameter_channel",
+    "path_difference",
+    "position_bound",
+    "rotation_from_vector",
+    "self_term",
+    "sensing_channel",
+    "sensing_channels",
+    "solve_dense",
+    "solve_krylov",
+    "tilt_bound",
+    "unknown_gain_position_bound",
+    "wavenumber",
+    "without_gain",
 ]

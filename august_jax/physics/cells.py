@@ -71,5 +71,6 @@ class Cells(NamedTuple):
         turn = jnp.asarray(rotation).T
         positions, centroids = (
             None if places is None else settled("cells", places) @ turn + translation
-            for places in (self.positions, self.centroids))
+            for places in (self.positions, self.centroids)
+        )
         return self._replace(positions=positions, normals=normals, centroids=centroids)

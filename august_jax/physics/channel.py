@@ -111,12 +111,17 @@ def _checked(array, cells, contrast, frequencies_hz, receiver):
     else:
         tones = [] if isinstance(frequencies_hz, (str, float, int)) else list(frequencies_hz)
         if not tones:
-            raise ValueError(f"frequencies_hz: got {frequencies_hz!r}; give a sequence of tones in Hz, e.g. [3e9], or "
-                             "None for the array's carrier")
+            raise ValueError(
+                f"frequencies_hz: got {frequencies_hz!r}; give a sequence of tones in Hz, e.g. [3e9], or "
+                "None for the array's carrier"
+            )
         tones = [check_frequency("frequencies_hz", tone) if is_concrete(tone) else tone for tone in tones]
     if frequencies_hz is not None and np.ndim(contrast) == 2:
-        check_contrast(contrast, ((len(tones), 1), (len(tones), count)),
-                       f"({len(tones)}, 1) or ({len(tones)}, {count}) for these tones")
+        check_contrast(
+            contrast,
+            ((len(tones), 1), (len(tones), count)),
+            f"({len(tones)}, 1) or ({len(tones)}, {count}) for these tones",
+        )
         rows = [row[0] if np.shape(row) == (1,) else row for row in contrast]
     else:
         check_contrast(contrast, ((), (count,)), f"a scalar or ({count},), one value a cell")
@@ -162,8 +167,10 @@ def sensing_channels(
     cells, contrast = settled_cells(cells), settled("contrast", contrast)
     shape = np.shape(cells.positions)
     if len(shape) != 3 or np.shape(contrast)[:1] != shape[:1]:
-        raise ValueError(f"cells.positions, contrast: got shapes {shape} and {np.shape(contrast)}; give (B, N, 3) and "
-                         "(B,), one target a row")
+        raise ValueError(
+            f"cells.positions, contrast: got shapes {shape} and {np.shape(contrast)}; give (B, N, 3) and "
+            "(B,), one target a row"
+        )
     many, count = shape[:2]
     if is_concrete(cells):
         for row in range(many):
@@ -197,9 +204,11 @@ def _solved(array, receiver, cells, contrast, solver, frequency_hz):
     cells = jax.tree.map(jnp.asarray, cells)
     dtype = cells.positions.dtype
     fields = [
-        weighted_fields(cells, dipole_fields(
-            cells.sites(), jnp.asarray(end.positions, dtype), jnp.asarray(end.moments, dtype), k))
-        for end in (array, receiver) if end is not None
+        weighted_fields(
+            cells, dipole_fields(cells.sites(), jnp.asarray(end.positions, dtype), jnp.asarray(end.moments, dtype), k)
+        )
+        for end in (array, receiver)
+        if end is not None
     ]
     if solver == "krylov":
         # The stationary form wants both ends' fields solved for: one joint problem, of which one block is the answer.

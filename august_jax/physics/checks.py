@@ -59,8 +59,12 @@ def settled(name: str, value: ArrayLike | Sequence) -> ArrayLike:
 
 def settled_cells(cells: Cells) -> Cells:
     """:func:`settled` of every part."""
-    return Cells(*(None if part is None else settled(f"cells.{name}", part) for name, part in zip(
-        Cells._fields, cells, strict=True)))
+    return Cells(
+        *(
+            None if part is None else settled(f"cells.{name}", part)
+            for name, part in zip(Cells._fields, cells, strict=True)
+        )
+    )
 
 
 def check_frequency(name: str, hertz: object) -> float:
@@ -89,8 +93,10 @@ def check_rotation(rotation: object) -> None:
     turn = np.asarray(rotation, np.float64)
     off = np.abs(np.swapaxes(turn, -1, -2) @ turn - np.eye(3)).max(initial=0.0)
     if not off < _ROTATION:
-        raise ValueError(f"rotation: R^T R differs from the identity by {off:.2g}; give a rotation matrix, e.g. of "
-                         "august_jax.scene.rotation_from_euler")
+        raise ValueError(
+            f"rotation: R^T R differs from the identity by {off:.2g}; give a rotation matrix, e.g. of "
+            "august_jax.scene.rotation_from_euler"
+        )
     if np.any(np.linalg.det(turn) < 0.0):
         raise ValueError("rotation: is a mirror (determinant -1); give a proper rotation, and mirror the body's cells")
 
@@ -98,8 +104,9 @@ def check_rotation(rotation: object) -> None:
 def check_ends(array, other, name: str = "receiver") -> None:
     """Raise ValueError where another array, if there is one, has another carrier."""
     if other is not None and not math.isclose(array.frequency_hz, other.frequency_hz, rel_tol=_CARRIERS):
-        raise ValueError(f"{name}: got carriers of {array.frequency_hz:g} and {other.frequency_hz:g} Hz; make all for "
-                         "one carrier")
+        raise ValueError(
+            f"{name}: got carriers of {array.frequency_hz:g} and {other.frequency_hz:g} Hz; make all for one carrier"
+        )
 
 
 def check_band(array, tones: Sequence[float]) -> None:
@@ -107,8 +114,10 @@ def check_band(array, tones: Sequence[float]) -> None:
     low, high = min(tones), max(tones)
     if not (1.0 - _BAND) * low <= array.frequency_hz <= (1.0 + _BAND) * high:
         band = f"{low:g} Hz" if low == high else f"{low:g} to {high:g} Hz"
-        raise ValueError(f"array: its carrier is {array.frequency_hz:g} Hz, but the body was factored for {band}; "
-                         "factor the body for the array's tones, or make the array for the body's")
+        raise ValueError(
+            f"array: its carrier is {array.frequency_hz:g} Hz, but the body was factored for {band}; "
+            "factor the body for the array's tones, or make the array for the body's"
+        )
 
 
 def check_cells(cells: Cells) -> Cells:
@@ -187,8 +196,10 @@ def check_nearest(nearest_m: float, array, place, name: str) -> None:
     away = np.asarray(array.positions, np.float64) - np.asarray(place, np.float64)
     gap = math.sqrt(np.einsum("...a,...a->...", away, away).min())
     if not gap >= nearest_m * (1.0 - 1e-6):
-        raise ValueError(f"{name}: the body is {gap:.3g} m from an antenna, but was factored for {nearest_m:g} m and "
-                         "beyond; pass a smaller nearest_m to factor_body")
+        raise ValueError(
+            f"{name}: the body is {gap:.3g} m from an antenna, but was factored for {nearest_m:g} m and "
+            "beyond; pass a smaller nearest_m to factor_body"
+        )
 
 
 def check_contrast(contrast: ArrayLike, shapes: Sequence[tuple[int, ...]], wanted: str) -> None:
@@ -220,9 +231,7 @@ def cells_a_wavelength(edge_m: ArrayLike, fill: ArrayLike, contrast: ArrayLike, 
     return 2.0 * np.pi / (index * wavenumber * edge_m), np.maximum(4.0, np.minimum(index**2, 3.0 * index))
 
 
-def warn_of_coarse_cells(
-    edge_m: ArrayLike, fill: ArrayLike, contrast: ArrayLike | None, wavenumber: ArrayLike
-) -> None:
+def warn_of_coarse_cells(edge_m: ArrayLike, fill: ArrayLike, contrast: ArrayLike | None, wavenumber: ArrayLike) -> None:
     """Warn where the wavelength in the material is under-resolved; numbers only.
 
     A contrast that is traced, or None where no material is known yet, is judged at ``ASSUMED_CONTRAST``.
@@ -235,12 +244,15 @@ def warn_of_coarse_cells(
     if np.min(share) >= 1.0:
         return
     worst = int(np.argmin(share))
-    edge, found, wanted, share = (float(np.broadcast_to(part, np.shape(share)).flat[worst])
-                                  for part in (edge_m, found, wanted, share))
+    edge, found, wanted, share = (
+        float(np.broadcast_to(part, np.shape(share)).flat[worst]) for part in (edge_m, found, wanted, share)
+    )
     material = "their material" if known else f"a material of permittivity {1.0 + ASSUMED_CONTRAST:g}"
     warnings.warn(
         f"cells.volumes: cells of {1e3 * edge:.3g} mm make {found:.2g} a wavelength in {material}, of {wanted:.2g} "
-        f"wanted; use {1e3 * edge * share:.2g} mm or less", stacklevel=4)
+        f"wanted; use {1e3 * edge * share:.2g} mm or less",
+        stacklevel=4,
+    )
 
 
 def coarseness(edge_m: ArrayLike, fill: ArrayLike) -> ArrayLike:

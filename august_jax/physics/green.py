@@ -112,8 +112,15 @@ def _coupling_tangent(wavenumber, primals, tangents):
     change = [moved[:, None, axis] - moved[None, :, axis] for axis in range(3)]
     farther = sum(u * d for u, d in zip(unit, change))
     radial, trace = (along - 2.0 * across) * farther, isotropic * farther
-    blocks = [[radial * (unit[a] * unit[b]) + across * (change[a] * unit[b] + unit[a] * change[b])
-               + (trace if a == b else 0.0) for b in range(3)] for a in range(3)]
+    blocks = [
+        [
+            radial * (unit[a] * unit[b])
+            + across * (change[a] * unit[b] + unit[a] * change[b])
+            + (trace if a == b else 0.0)
+            for b in range(3)
+        ]
+        for a in range(3)
+    ]
     tangent = jnp.stack([jnp.stack(row, axis=-1) for row in blocks], axis=1)
     return _coupling(positions, wavenumber), tangent.reshape(3 * len(positions), -1)
 
@@ -153,8 +160,8 @@ def dipole_fields(
     # Halfway between extremes, which any order of evaluation gives alike: a mean that the compiler computes twice, for
     # the points and for the long way, may differ by 1e-6 m. Either end moves through what is taken about its middle.
     middle, centre = (
-        jax.lax.stop_gradient(0.5 * (jnp.min(places, axis=0) + jnp.max(places, axis=0)))
-        for places in (points, sources))
+        jax.lax.stop_gradient(0.5 * (jnp.min(places, axis=0) + jnp.max(places, axis=0))) for places in (points, sources)
+    )
     fields = dipole_fields_about(points - middle, middle - centre, sources - centre, moments, wavenumber)
     return fields.transpose(0, 2, 1).reshape(3 * points.shape[0], sources.shape[0])
 

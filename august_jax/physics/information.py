@@ -53,8 +53,18 @@ class Spread(NamedTuple):
     def deviations(self) -> np.ndarray:
         """(10,) in the order of ``PARAMETERS``."""
         heading = self.turn_rad if self.heading_rad is None else self.heading_rad
-        return np.array([*[self.position_m] * 3, self.turn_rad, self.turn_rad, heading, self.permittivity,
-                         self.conductivity, self.log_gain, self.phase])
+        return np.array(
+            [
+                *[self.position_m] * 3,
+                self.turn_rad,
+                self.turn_rad,
+                heading,
+                self.permittivity,
+                self.conductivity,
+                self.log_gain,
+                self.phase,
+            ]
+        )
 
 
 KNOWN_GAIN = Spread(log_gain=1e-4, phase=1e-4)
@@ -118,8 +128,10 @@ def _check(body, array, receiver, rotation, position, permittivity, conductivity
     """Refuse poses and materials of which nothing can be known."""
     check_rotation(rotation)
     for name, value, way_out in (
-        ("position", position, "give places (..., 3) in m"), ("permittivity", permittivity, "give a number"),
-        ("conductivity", conductivity, "give a number"), ("snr", snr, "give a linear ratio, 100 for 20 dB"),
+        ("position", position, "give places (..., 3) in m"),
+        ("permittivity", permittivity, "give a number"),
+        ("conductivity", conductivity, "give a number"),
+        ("snr", snr, "give a linear ratio, 100 for 20 dB"),
     ):
         check_finite(name, value, way_out)
     if is_concrete(snr) and np.any(np.asarray(snr) <= 0.0):
@@ -127,8 +139,10 @@ def _check(body, array, receiver, rotation, position, permittivity, conductivity
     if is_concrete((permittivity, conductivity)):
         air = (np.asarray(permittivity) == 1.0) & (np.asarray(conductivity) == 0.0)
         if np.any(air):
-            raise ValueError("permittivity: is 1 at a conductivity of 0, a body of air: its echo is zero and holds no "
-                             "information; give another material")
+            raise ValueError(
+                "permittivity: is 1 at a conductivity of 0, a body of air: its echo is zero and holds no "
+                "information; give another material"
+            )
     for end in (array, receiver):
         if end is not None and is_concrete((position, end)):
             for place in np.reshape(position, (-1, 3)):
@@ -237,8 +251,9 @@ def _slopes(body, array, receiver, rotation, position, permittivity, conductivit
     outward = sum(_toward(end, jax.lax.stop_gradient(position)) for end in ends)
 
     def channel(theta):
-        h = parameter_channel(body, array, Parameters.split(theta), rotation, position, permittivity, conductivity,
-                              receiver)
+        h = parameter_channel(
+            body, array, Parameters.split(theta), rotation, position, permittivity, conductivity, receiver
+        )
         farther = theta[:3] @ outward  # of both ways, to first order, all that a derivative sees
         return h * jnp.exp(-1j * middle * farther)
 

@@ -92,8 +92,15 @@ def solve_krylov(
     place = jnp.arange(matrix.shape[0] // 3)
     own = matrix.reshape(len(place), 3, len(place), 3)[place, :, place]
     interact = _real_product(matrix)
-    return solve_coupled(lambda p: interact(p) - _blockwise(own, p), own, lambda: matrix, contrast, fields,
-                         tolerance=tolerance, steps=steps)
+    return solve_coupled(
+        lambda p: interact(p) - _blockwise(own, p),
+        own,
+        lambda: matrix,
+        contrast,
+        fields,
+        tolerance=tolerance,
+        steps=steps,
+    )
 
 
 def solve_moving(
@@ -102,8 +109,13 @@ def solve_moving(
     """:func:`solve_krylov` of cells, from planes: K' itself is assembled only where LU has to take over."""
     planes = coupling_planes(centred(cells), wavenumber)
     weights = coupling_weights(cells, wavenumber)
-    return solve_coupled(lambda p: weights * coupled_fields(planes, weights * p), own_blocks(cells, wavenumber),
-                         lambda: interaction_matrix(cells, wavenumber), contrast, fields)
+    return solve_coupled(
+        lambda p: weights * coupled_fields(planes, weights * p),
+        own_blocks(cells, wavenumber),
+        lambda: interaction_matrix(cells, wavenumber),
+        contrast,
+        fields,
+    )
 
 
 def solve_coupled(
@@ -136,8 +148,11 @@ def solve_coupled(
     def iterated(few):
         right = root * few
         local_solution, taken = _cocr(
-            lambda z: z - _blockwise(turned, root * couple(root * _blockwise(local, z))), _blockwise(turned, right),
-            tolerance, steps)
+            lambda z: z - _blockwise(turned, root * couple(root * _blockwise(local, z))),
+            _blockwise(turned, right),
+            tolerance,
+            steps,
+        )
         y = _blockwise(local, local_solution)
         return y, image(y), taken
 
@@ -177,7 +192,8 @@ def moving_channel(
         # Each term but the first is zero, and is there for its derivative: in w, in the blocks, in G.
         weighing = p.T @ ((weights / fixed_weights - 1.0) * (image - _blockwise(fixed_own, p)))
         moving = _on_used_columns(
-            lambda x: coupling_change(centred(cells), wavenumber, x), fixed_weights * p, square=True)
+            lambda x: coupling_change(centred(cells), wavenumber, x), fixed_weights * p, square=True
+        )
         return p.T @ image + weighing + weighing.T + p.T @ _blockwise(own - fixed_own, p) + moving
 
     return _stationary(quadratic, contrast, fields, solution)
@@ -240,7 +256,8 @@ def _local_factor(contrast, own):
     """C (N, 3, 3) of C C^T = (I - chi K'_ii)^{-1}: the transposed inverse of a Cholesky factor, without conjugates."""
     chi = jnp.broadcast_to(contrast, own.shape[:1]).astype(own.dtype)
     (a, _, _), (b, c, _), (d, e, f) = (
-        [(row == column) - chi * own[:, row, column] for column in range(3)] for row in range(3))
+        [(row == column) - chi * own[:, row, column] for column in range(3)] for row in range(3)
+    )
     # The factor's rows: (a), (b, c), (d, e, f).
     a = jnp.sqrt(a)
     b, d = b / a, d / a
@@ -248,8 +265,11 @@ def _local_factor(contrast, own):
     e = (e - d * b) / c
     f = jnp.sqrt(f - d * d - e * e)
     zero = jnp.zeros_like(a)
-    columns = [(1.0 / a, zero, zero), (-b / (a * c), 1.0 / c, zero),
-               ((b * e - d * c) / (a * c * f), -e / (c * f), 1.0 / f)]
+    columns = [
+        (1.0 / a, zero, zero),
+        (-b / (a * c), 1.0 / c, zero),
+        ((b * e - d * c) / (a * c * f), -e / (c * f), 1.0 / f),
+    ]
     return jnp.stack([jnp.stack(column, axis=-1) for column in columns], axis=-1)
 
 

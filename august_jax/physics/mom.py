@@ -83,9 +83,7 @@ def weighted_fields(cells: Cells, fields: Inexact[Array, "rows r"]) -> Inexact[j
     return jnp.repeat(jnp.sqrt(cells.fractions() * cells.volumes), 3)[:, None] * fields
 
 
-def solve_dense(
-    matrix: Complex[Array, "rows rows"], contrast: ArrayLike, fields: Inexact[Array, "rows r"]
-) -> Solution:
+def solve_dense(matrix: Complex[Array, "rows rows"], contrast: ArrayLike, fields: Inexact[Array, "rows r"]) -> Solution:
     """Solve (D^{-1} - K') P = E' by LU, in the form (I - D K') P = D E', which also admits chi = 0.
 
     Args:

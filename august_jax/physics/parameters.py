@@ -60,10 +60,14 @@ def rotation_from_vector(vector: Float[Array, "3"]) -> Float[jax.Array, "3 3"]:
     safe = jnp.where(small, 1.0, square)
     angle = jnp.sqrt(safe)
     s = square
-    sine = jnp.where(small, 1.0 - s / 6.0 * (1.0 - s / 20.0 * (1.0 - s / 42.0 * (1.0 - s / 72.0))),
-                     jnp.sin(angle) / angle)
-    cosine = jnp.where(small, 0.5 - s / 24.0 * (1.0 - s / 30.0 * (1.0 - s / 56.0 * (1.0 - s / 90.0))),
-                       2.0 * (jnp.sin(0.5 * angle) / angle) ** 2)
+    sine = jnp.where(
+        small, 1.0 - s / 6.0 * (1.0 - s / 20.0 * (1.0 - s / 42.0 * (1.0 - s / 72.0))), jnp.sin(angle) / angle
+    )
+    cosine = jnp.where(
+        small,
+        0.5 - s / 24.0 * (1.0 - s / 30.0 * (1.0 - s / 56.0 * (1.0 - s / 90.0))),
+        2.0 * (jnp.sin(0.5 * angle) / angle) ** 2,
+    )
     zero = jnp.zeros_like(x)
     cross = jnp.stack([jnp.stack([zero, -z, y]), jnp.stack([z, zero, -x]), jnp.stack([-y, x, zero])])
     return jnp.eye(3, dtype=vector.dtype) + sine * cross + cosine * cross @ cross

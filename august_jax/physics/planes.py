@@ -120,8 +120,16 @@ def _moved_block(points, index, wavenumber, moved):
         b, half = b * farther, (0.5 * steeper) * farther
         h = [a * change + half * part for part, change in zip(d, moved)]
         # d(A d d^T + B I) = d h^T + h d^T + dB I
-        planes.append([2.0 * (d[0] * h[0]) + b, d[0] * h[1] + d[1] * h[0], d[0] * h[2] + d[2] * h[0],
-                       2.0 * (d[1] * h[1]) + b, d[1] * h[2] + d[2] * h[1], 2.0 * (d[2] * h[2]) + b])
+        planes.append(
+            [
+                2.0 * (d[0] * h[0]) + b,
+                d[0] * h[1] + d[1] * h[0],
+                d[0] * h[2] + d[2] * h[0],
+                2.0 * (d[1] * h[1]) + b,
+                d[1] * h[2] + d[2] * h[1],
+                2.0 * (d[2] * h[2]) + b,
+            ]
+        )
     return Planes(*planes)
 
 
@@ -142,8 +150,7 @@ def _radial(points, index, wavenumber):
         return amplitude * cosine, amplitude * sine, inverse
 
     # In a loop, because the compiler would otherwise fuse it into each plane and compute the sines for each again.
-    cosine, sine, inverse = (
-        part.reshape(-1, points.shape[0]) for part in jax.lax.map(wave, here.reshape(2, -1)))
+    cosine, sine, inverse = (part.reshape(-1, points.shape[0]) for part in jax.lax.map(wave, here.reshape(2, -1)))
     x = inverse / wavenumber  # 1/(kr)
     rate, xx = inverse * inverse, x * x
 

@@ -125,8 +125,10 @@ class Airframe:
             size *= _COARSER
         left = self._lattice(size, skin_m).count
         if left < FEWEST_CELLS and size > cell_m:
-            raise ValueError(f"max_cells={max_cells!r}: the finest cells that fit are {left}, and a shape takes at "
-                             f"least {FEWEST_CELLS}; give more")
+            raise ValueError(
+                f"max_cells={max_cells!r}: the finest cells that fit are {left}, and a shape takes at "
+                f"least {FEWEST_CELLS}; give more"
+            )
         self.cells(size, skin_m)  # names cell_m where that alone is too coarse
         return size
 
@@ -274,8 +276,10 @@ def _mesh_and_arguments(text: str) -> tuple[Path, dict[str, str]]:
     for item in query.split("&"):
         key, equals, value = item.partition("=")
         if key not in _IN_NAMES or not equals or not value or key in arguments:
-            raise ValueError(f"airframe {text!r}: {item!r} is not one of {', '.join(_IN_NAMES)}, each once and with a "
-                             f"value, such as {name}?unit=mm&up=y&forward=-z")
+            raise ValueError(
+                f"airframe {text!r}: {item!r} is not one of {', '.join(_IN_NAMES)}, each once and with a "
+                f"value, such as {name}?unit=mm&up=y&forward=-z"
+            )
         arguments[key] = value
     return Path(name), arguments
 
@@ -318,7 +322,8 @@ def _clean(vertices: np.ndarray, faces: np.ndarray, name: str) -> tuple[np.ndarr
     if given - len(faces) > _MANY_FLAT * given:
         warnings.warn(
             f"{name}: {given - len(faces)} of {given} faces have no area and were left out; if the craft has holes, "
-            "export the mesh again", stacklevel=4,
+            "export the mesh again",
+            stacklevel=4,
         )
     _, once = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
     faces = faces[np.sort(once)]

@@ -33,8 +33,12 @@ class WorldCloud(NamedTuple):
 
 
 def to_cloud(
-    points: Float[Array, "*batch points 3"], position: Float[Array, "*batch 3"], predicted: Float[Array, "*batch 3"],
-    permittivity: ArrayLike, conductivity: ArrayLike, region: RegionConfig,
+    points: Float[Array, "*batch points 3"],
+    position: Float[Array, "*batch 3"],
+    predicted: Float[Array, "*batch 3"],
+    permittivity: ArrayLike,
+    conductivity: ArrayLike,
+    region: RegionConfig,
 ) -> Float[jax.Array, "*batch points 5"]:
     """The normalised cloud (..., M, 5).
 
@@ -48,10 +52,10 @@ def to_cloud(
     """
     offset = (jnp.asarray(position) - jnp.asarray(predicted))[..., None, :]
     where = (jnp.asarray(points) + offset) / region.scale_m
-    what = jnp.stack([
-        jnp.asarray(permittivity) / region.permittivity_max,
-        jnp.asarray(conductivity) / region.conductivity_max_s_m,
-    ], axis=-1)[..., None, :]
+    what = jnp.stack(
+        [jnp.asarray(permittivity) / region.permittivity_max, jnp.asarray(conductivity) / region.conductivity_max_s_m],
+        axis=-1,
+    )[..., None, :]
     return jnp.concatenate([where, jnp.broadcast_to(what, (*where.shape[:-1], 2))], axis=-1)
 
 

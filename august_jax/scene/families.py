@@ -161,11 +161,16 @@ def _rotor(centre: np.ndarray, radius: float, angle: float, hand: float) -> _Sol
         pitch = hand * np.sign(t) * np.radians(np.interp(out, [0.12, 0.3, 1.0], [4.0, 16.0, 7.0]))
         across = 0.5 * chord * outline[:, 0]
         up = 0.5 * thickness * outline[:, 1]
-        rings.append(np.stack([
-            np.full(len(outline), t * radius),
-            across * np.cos(pitch) - up * np.sin(pitch),
-            across * np.sin(pitch) + up * np.cos(pitch),
-        ], axis=-1))
+        rings.append(
+            np.stack(
+                [
+                    np.full(len(outline), t * radius),
+                    across * np.cos(pitch) - up * np.sin(pitch),
+                    across * np.sin(pitch) + up * np.cos(pitch),
+                ],
+                axis=-1,
+            )
+        )
     cosine, sine = np.cos(angle), np.sin(angle)
     turn = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
     return _loft(centre + np.stack(rings) @ turn.T)
@@ -183,7 +188,4 @@ def _skids(length: float, width: float) -> list[_Solid]:
 
 def _leg(tip: np.ndarray, direction: np.ndarray, place: float) -> list[_Solid]:
     knee, foot = place * tip, (place + 0.1) * tip + np.array([0.0, 0.0, -0.11])
-    return [
-        _tube(knee, foot, 0.0055, 8),
-        _tube(foot - 0.018 * direction, foot + 0.018 * direction, 0.006, 8),
-    ]
+    return [_tube(knee, foot, 0.0055, 8), _tube(foot - 0.018 * direction, foot + 0.018 * direction, 0.006, 8)]

@@ -102,8 +102,10 @@ def shell_cells(triangles: Float[Array, "T 3 3"], cell_m: float, skin_m: float) 
     fill = weight / parts**3
     kept = fill >= _NEGLIGIBLE * skin_m / cell_m
     if not kept.any():
-        raise ValueError(f"cell_m={cell_m!r}, skin_m={skin_m!r}: no cell holds material worth keeping; both are in "
-                         "metres, e.g. 0.012 and 0.002")
+        raise ValueError(
+            f"cell_m={cell_m!r}, skin_m={skin_m!r}: no cell holds material worth keeping; both are in "
+            "metres, e.g. 0.012 and 0.002"
+        )
     return Cells(
         positions=(middles + _TOWARDS_CENTROID * (centroids - middles))[kept],
         volumes=np.full(int(kept.sum()), cell_m**3),

@@ -51,9 +51,7 @@ def _repeated_bodies(
     count, label = connected_components(coo_matrix((np.ones(edges.shape[1]), edges), [len(vertices)] * 2))
     label = label[faces[:, 0]]
     triangles = vertices[faces]
-    area = 0.5 * np.linalg.norm(
-        np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=-1
-    )
+    area = 0.5 * np.linalg.norm(np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=-1)
     size = np.bincount(label, area, count)
     size = np.maximum(size, 1e-12 * area.sum())  # vertices that no face uses are bodies too
     place = np.stack([np.bincount(label, area * triangles[..., axis].mean(1), count) for axis in (0, 1)], 1)

@@ -112,9 +112,11 @@ def pose_scenario(
         position = tuple(_between(span, 0.5) for span in flight.box_m)
     if not all(low <= value <= high for value, (low, high) in zip(position, flight.box_m, strict=True)):
         box = ", ".join(f"{axis} {low:g} to {high:g}" for axis, (low, high) in zip("xyz", flight.box_m, strict=True))
-        raise ValueError(f"position: ({', '.join(f'{value:g}' for value in position)}) m is outside the box that the "
-                         f"weights know: {box} m\nchoose a place inside it, e.g. "
-                         + ",".join(f"{_between(span, 0.5):g}" for span in flight.box_m))
+        raise ValueError(
+            f"position: ({', '.join(f'{value:g}' for value in position)}) m is outside the box that the "
+            f"weights know: {box} m\nchoose a place inside it, e.g. "
+            + ",".join(f"{_between(span, 0.5):g}" for span in flight.box_m)
+        )
     for name, angle in (("yaw_deg", yaw_deg), ("pitch_deg", pitch_deg), ("roll_deg", roll_deg)):
         if not (math.isfinite(angle) and abs(angle) <= _TURN_DEG):
             raise ValueError(f"{name}: {angle:g} is no angle of a pose; give -360 to 360 degrees")
@@ -122,15 +124,21 @@ def pose_scenario(
     slope = np.tan(np.radians(flight.tilt_deg))
     if not (rotation[2, 2] > 0.0 and np.hypot(*rotation[:2, 2]) <= slope * rotation[2, 2] * (1.0 + 1e-5)):
         tilt = np.degrees(np.arccos(np.clip(rotation[2, 2], -1.0, 1.0)))
-        raise ValueError(f"pitch_deg, roll_deg: {pitch_deg:g} and {roll_deg:g} degrees tilt the drone by {tilt:.3g} "
-                         f"degrees, more than the {flight.tilt_deg:g} degrees that the weights know; use smaller angles")
+        raise ValueError(
+            f"pitch_deg, roll_deg: {pitch_deg:g} and {roll_deg:g} degrees tilt the drone by {tilt:.3g} "
+            f"degrees, more than the {flight.tilt_deg:g} degrees that the weights know; use smaller angles"
+        )
     material = []
-    for name, value, span in (("permittivity", permittivity, target.permittivity),
-                              ("conductivity", conductivity, target.conductivity_s_m)):
+    for name, value, span in (
+        ("permittivity", permittivity, target.permittivity),
+        ("conductivity", conductivity, target.conductivity_s_m),
+    ):
         value = _between(span, 0.5) if value is None else value
         if not span[0] <= value <= span[1]:
-            raise ValueError(f"{name}: {value:g} is outside the range that the weights know, "
-                             f"{span[0]:g} to {span[1]:g}{' S/m' if name == 'conductivity' else ''}")
+            raise ValueError(
+                f"{name}: {value:g} is outside the range that the weights know, "
+                f"{span[0]:g} to {span[1]:g}{' S/m' if name == 'conductivity' else ''}"
+            )
         material.append(float(value))
     return Scenario(airframe, np.zeros(1), np.asarray([position], np.float64), rotation[None], *material)
 

@@ -10,6 +10,4 @@ from august_jax.schemes.networks import AUGUST
 SCHEMES: dict[str, Scheme] = {scheme.name: scheme for scheme in (AUGUST, PREDICTION, UP, MEAN_SHAPE, RESAMPLING)}
 """The schemes by name."""
 
-__all__ = [
-    "SCHEMES", "Answer", "Ask", "Scheme", "Setting", "Slots", "Truth", "mean_shape",
-]
+__all__ = ["SCHEMES", "Answer", "Ask", "Scheme", "Setting", "Slots", "Truth", "mean_shape"]

@@ -1,7 +1,7 @@
 """What a scheme is asked and what it answers.
 
-A scheme is prepared once for a :class:`Setting` and then answers slots: from what is heard of them, or without. A scheme
-is added by one file that makes a :class:`Scheme` and one line in the registry (:mod:`august_jax.schemes`).
+A scheme is prepared once for a :class:`Setting` and then answers slots: from what is heard of them, or without. One is
+added by one file that makes a :class:`Scheme` and one line in the registry (:mod:`august_jax.schemes`).
 """
 
 from __future__ import annotations
@@ -98,8 +98,8 @@ class Setting(NamedTuple):
 
 
 Ask = Callable[[jax.Array, Slots], Answer]
-"""(key, slots) -> answer, for up to some fifty slots at a time. Nobody compiles it from outside, so that NumPy serves as
-well; one that networks or physics make slow compiles itself."""
+"""(key, slots) -> answer, for up to some fifty slots at a time. Nobody compiles it from outside, so that NumPy serves
+as well; one that networks or physics make slow compiles itself."""
 
 
 @dataclass(frozen=True)

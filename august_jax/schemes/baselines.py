@@ -49,6 +49,7 @@ def _up(setting: Setting) -> Ask:
     def ask(key: jax.Array, slots: Slots) -> Answer:
         up = jnp.broadcast_to(jnp.array([0.0, 0.0, 1.0]), (slots.slots, 3))
         return Answer(normal=up, triple_normal=up)
+
     return ask
 
 
@@ -60,6 +61,7 @@ def _mean_shape(setting: Setting) -> Ask | None:
     def ask(key: jax.Array, slots: Slots) -> Answer:
         predicted = jnp.asarray(slots.predicted)
         return Answer(cloud=_of_points(predicted[:, None] + mean), centre=predicted)
+
     return ask
 
 
@@ -70,6 +72,7 @@ def _resampling(setting: Setting) -> Ask:
         points = jnp.asarray(slots.truth.resampled)
         normal, triple = cloud_normals(key, points)
         return Answer(jnp.mean(points, axis=1), normal, triple, _of_points(points))
+
     return ask
 
 

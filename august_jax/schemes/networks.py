@@ -19,8 +19,12 @@ from august_jax.tracking.attitude import cloud_normals
 
 @partial(jax.jit, static_argnames="config")
 def _reconstructed(
-    networks: Networks, config: Config, key: jax.Array, heard: Array | Coefficients,
-    predicted: Float[Array, "batch 3"], snr_db: Float[Array, " batch"],
+    networks: Networks,
+    config: Config,
+    key: jax.Array,
+    heard: Array | Coefficients,
+    predicted: Float[Array, "batch 3"],
+    snr_db: Float[Array, " batch"],
 ) -> WorldCloud:
     """Clouds of B slots in the world, drawn by the networks; arguments as of :meth:`Networks.reconstruct`."""
     return from_cloud(networks.reconstruct(key, heard, predicted, snr_db, config), predicted, config.region)

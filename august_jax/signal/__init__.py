@@ -1,13 +1,6 @@
 """What the base station does: beams and pilots, echo and channel estimate, the region's field subspace."""
 
-from august_jax.signal.beams import (
-    dbm_to_watt,
-    direction_angles,
-    pilot_symbols,
-    pilots,
-    roi_codebook,
-    watt_to_dbm,
-)
+from august_jax.signal.beams import dbm_to_watt, direction_angles, pilot_symbols, pilots, roi_codebook, watt_to_dbm
 from august_jax.signal.estimators import ESTIMATORS, ChannelEstimate, Estimator, Region, estimate_channel
 from august_jax.signal.noise import estimate_snr
 from august_jax.signal.roi import (

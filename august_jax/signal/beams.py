@@ -66,8 +66,10 @@ def codebook_factors(
     places_z = turn * (np.arange(nz) - (nz - 1) / 2.0)
     phase_x = places_x[:, None, None] * (jnp.cos(azimuth)[:, None] * jnp.cos(elevation))
     phase_z = places_z[:, None] * jnp.sin(elevation)
-    return (jax.lax.complex(jnp.cos(phase_x), jnp.sin(phase_x)),
-            jax.lax.complex(jnp.cos(phase_z), jnp.sin(phase_z)) / np.sqrt(nx * nz))
+    return (
+        jax.lax.complex(jnp.cos(phase_x), jnp.sin(phase_x)),
+        jax.lax.complex(jnp.cos(phase_z), jnp.sin(phase_z)) / np.sqrt(nx * nz),
+    )
 
 
 def roi_codebook(

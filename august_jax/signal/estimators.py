@@ -129,7 +129,11 @@ def estimate_channel(
 
 
 def least_squares(
-    received: Received, pilots: Pilots, noise_w: ArrayLike | None = None, region: Region | None = None, *,
+    received: Received,
+    pilots: Pilots,
+    noise_w: ArrayLike | None = None,
+    region: Region | None = None,
+    *,
     rcond: float = 0.1,
 ) -> ChannelEstimate:
     """Y X^+ on the singular values of X above ``rcond`` times the largest, symmetrised."""
@@ -140,9 +144,7 @@ def least_squares(
     return ChannelEstimate(_symmetrise(channel), jnp.sum(kept, dtype=jnp.int32))
 
 
-def ridge(
-    received: Received, pilots: Pilots, noise_w: ArrayLike, region: Region | None = None
-) -> ChannelEstimate:
+def ridge(received: Received, pilots: Pilots, noise_w: ArrayLike, region: Region | None = None) -> ChannelEstimate:
     """Y X^H (X X^H + r I)^{-1}, r as in the module's docstring, symmetrised."""
     count = pilots.shape[0]
     gram = pilots @ pilots.conj().T

@@ -21,9 +21,7 @@ def white_noise(key: jax.Array, shape: tuple[int, ...]) -> jax.Array:
     return jax.lax.complex(parts[0], parts[1])
 
 
-def estimate_snr(
-    received: Complex[Array, "*batch antennas symbols"], noise_w: ArrayLike
-) -> Float[jax.Array, "*batch"]:
+def estimate_snr(received: Complex[Array, "*batch antennas symbols"], noise_w: ArrayLike) -> Float[jax.Array, "*batch"]:
     """SNR (linear) that a receiver can know, (||Y||^2 - E||N||^2)/E||N||^2, floored at the spread of ||N||^2.
 
     Args:

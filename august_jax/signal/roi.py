@@ -178,7 +178,9 @@ def spherical_phases(
 
 
 def field_basis(
-    centre: Float[Array, "3"], positions: Float[Array, "antennas 3"], wavenumber: ArrayLike,
+    centre: Float[Array, "3"],
+    positions: Float[Array, "antennas 3"],
+    wavenumber: ArrayLike,
     basis: Float[Array, "antennas orders"],
 ) -> Complex[Array, "antennas orders"]:
     """U = diag(conj(phases)) P of one tone; arguments as in :func:`spherical_phases` and :class:`Subspace`."""

@@ -63,7 +63,9 @@ class RegionObservation(NamedTuple):
 
 
 def echo(
-    key: jax.Array, channel: Complex[Array, "antennas antennas"], pilots: Complex[Array, "antennas symbols"],
+    key: jax.Array,
+    channel: Complex[Array, "antennas antennas"],
+    pilots: Complex[Array, "antennas symbols"],
     noise_w: ArrayLike,
 ) -> tuple[Complex[jax.Array, "antennas symbols"], Float[jax.Array, ""]]:
     """Received signal Y = H X + N.
@@ -110,8 +112,9 @@ def observe(
     """
     _check(channel, predicted, array, snr_db, power_dbm)
     if signal.estimator == "lmmse_roi":  # formed in the subspace, where it lives
-        seen = observe_region(key, channel, predicted, array=array, signal=signal, region=region, snr_db=snr_db,
-                              power_dbm=power_dbm)
+        seen = observe_region(
+            key, channel, predicted, array=array, signal=signal, region=region, snr_db=snr_db, power_dbm=power_dbm
+        )
         lifted = roi.lift(seen.coefficients, Subspace.from_config(array))
         return Observation(lifted, seen.snr_db, seen.snr_estimate_db, seen.power_dbm, seen.rank)
 
@@ -125,8 +128,11 @@ def observe(
     else:
         power_w = beams.dbm_to_watt(power_dbm)
     if ESTIMATORS[signal.estimator].uniform_pilots:
-        sent = beams.pilots(jnp.eye(array.count, dtype=sent.dtype),
-                            beams.pilot_symbols(key_unitary, array.count, symbols), 1.0 / channel.shape[0])
+        sent = beams.pilots(
+            jnp.eye(array.count, dtype=sent.dtype),
+            beams.pilot_symbols(key_unitary, array.count, symbols),
+            1.0 / channel.shape[0],
+        )
     # In units of the noise: echoes of 1e-15 W have squares that float32 cannot hold.
     sent = sent * jnp.sqrt(power_w / noise_w)
     clean = channel @ sent
@@ -165,16 +171,18 @@ def observe_region(
     _check(channel, predicted, array, snr_db, power_dbm)
     subspace = Subspace.from_config(array)
     if signal.estimator != "lmmse_roi":
-        seen = observe(key, channel, predicted, array=array, signal=signal, region=region, snr_db=snr_db,
-                       power_dbm=power_dbm)
+        seen = observe(
+            key, channel, predicted, array=array, signal=signal, region=region, snr_db=snr_db, power_dbm=power_dbm
+        )
         projected = roi.project(seen.estimated_channel, predicted, subspace)
         return RegionObservation(projected, seen.snr_db, seen.snr_estimate_db, seen.power_dbm, seen.rank)
 
     tones, count = channel.shape[0], array.count
     noise_w = beams.dbm_to_watt(signal.noise_dbm)
     symbols = signal.symbols or count
-    factors = beams.codebook_factors(array.nx, array.nz, beams.direction_angles(predicted), _radians(signal),
-                                     mirror=signal.mirror_beams)
+    factors = beams.codebook_factors(
+        array.nx, array.nz, beams.direction_angles(predicted), _radians(signal), mirror=signal.mirror_beams
+    )
     waves = subspace.waves(predicted)
     sent = jax.vmap(lambda basis: _reduced_beams(basis, subspace.array, factors))(waves)
     if signal.pilots == "unitary":
@@ -199,14 +207,17 @@ def observe_region(
     rest = entries - clean.size
     rest_energy = jnp.maximum(rest + np.sqrt(rest) * draws[-1], 0.0)
     received = amplitude * clean + noise
-    values = jax.vmap(lambda seen, pilots, k: roi_coefficients(
-        seen, pilots, Region(predicted, region.scale_m, subspace.positions, k, subspace.basis)
-    ))(received, amplitude * sent, subspace.wavenumbers)
+    values = jax.vmap(
+        lambda seen, pilots, k: roi_coefficients(
+            seen, pilots, Region(predicted, region.scale_m, subspace.positions, k, subspace.basis)
+        )
+    )(received, amplitude * sent, subspace.wavenumbers)
     snr = amplitude**2 * jnp.sum(energy(clean)) / (jnp.sum(parts**2) + rest_energy)
     known = snr_above_noise(jnp.sum(energy(received)) + rest_energy, entries)
     rank = jnp.full(tones, count, jnp.int32)
-    return RegionObservation(Coefficients(values, predicted), _decibels(snr), _decibels(known),
-                             beams.watt_to_dbm(power_w), rank)
+    return RegionObservation(
+        Coefficients(values, predicted), _decibels(snr), _decibels(known), beams.watt_to_dbm(power_w), rank
+    )
 
 
 def observe_for(
@@ -220,16 +231,25 @@ def observe_for(
 ) -> Observation | RegionObservation:
     """What the networks of a configuration are told of a slot: coefficients for the encoder ``roi``, else H_est."""
     look = observe_region if config.model.encoder == "roi" else observe
-    return look(key, channel, predicted, array=config.array, signal=config.signal, region=config.region, snr_db=snr_db,
-                power_dbm=power_dbm)
+    return look(
+        key,
+        channel,
+        predicted,
+        array=config.array,
+        signal=config.signal,
+        region=config.region,
+        snr_db=snr_db,
+        power_dbm=power_dbm,
+    )
 
 
 def codebook(
     predicted: Float[Array, "3"], array: ArrayConfig, signal: SignalConfig
 ) -> Complex[jax.Array, "antennas antennas"]:
     """The beams W (N_b, N_b) of the region about q_pre (3,) [m]; see :func:`~august_jax.signal.beams.roi_codebook`."""
-    return beams.roi_codebook(array.nx, array.nz, beams.direction_angles(predicted), _radians(signal),
-                              mirror=signal.mirror_beams)
+    return beams.roi_codebook(
+        array.nx, array.nz, beams.direction_angles(predicted), _radians(signal), mirror=signal.mirror_beams
+    )
 
 
 def _reduced_beams(waves: jax.Array, planar: PlanarArray, factors: tuple[jax.Array, jax.Array]) -> jax.Array:
@@ -248,14 +268,16 @@ def _decibels(ratio: ArrayLike) -> jax.Array:
     return 10.0 * jnp.log10(ratio)
 
 
-def _power_for(snr_db: ArrayLike | None, echo_energy_per_watt: jax.Array, noise_w: ArrayLike,
-               entries: int) -> jax.Array:
+def _power_for(
+    snr_db: ArrayLike | None, echo_energy_per_watt: jax.Array, noise_w: ArrayLike, entries: int
+) -> jax.Array:
     """P_s [W] at which the echo's energy is the SNR times the expected energy of the noise."""
     return 10.0 ** (jnp.asarray(snr_db) / 10.0) * (noise_w / echo_energy_per_watt) * entries
 
 
-def _check(channel: Array, predicted: Array, array: ArrayConfig, snr_db: ArrayLike | None,
-           power_dbm: ArrayLike | None) -> None:
+def _check(
+    channel: Array, predicted: Array, array: ArrayConfig, snr_db: ArrayLike | None, power_dbm: ArrayLike | None
+) -> None:
     wanted = (len(array.frequencies_hz), array.count, array.count)
     if channel.shape != wanted:
         raise ValueError(

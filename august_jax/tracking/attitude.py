@@ -23,7 +23,10 @@ from august_jax.arrays import Array
 
 @partial(jax.jit, static_argnames="triples")
 def triple_normal(
-    key: jax.Array, points: Float[Array, "points 3"], triples: int = 512, *,
+    key: jax.Array,
+    points: Float[Array, "points 3"],
+    triples: int = 512,
+    *,
     weights: Shaped[Array, " points"] | None = None,
 ) -> Float[jax.Array, "3"]:
     """The paper's estimate: mean normal of random triples.

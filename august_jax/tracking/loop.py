@@ -60,6 +60,7 @@ def follow(
         predictor: of the positions from the fourth slot on.
         locate: what finds the target in what is heard.
     """
+
     def slot(state, now):
         number, channel, detection = now
         expected = predictor.predict(state)[1].position

@@ -91,8 +91,10 @@ class Checkpoints:
             for name in ("asyncio", "absl"):  # which would report orbax's other readers one by one
                 logging.getLogger(name).setLevel(logging.CRITICAL)
             folder = Path(str(self._checkpointer.directory)) / str(self.latest)
-            raise ValueError(f"{folder}: the checkpoint cannot be read ({type(error).__name__}); remove that folder, "
-                             "and the run continues from the one before, or from the start") from error
+            raise ValueError(
+                f"{folder}: the checkpoint cannot be read ({type(error).__name__}); remove that folder, "
+                "and the run continues from the one before, or from the start"
+            ) from error
 
 
 def save_weights(path: str | Path, state: State, *, half: bool = False) -> None:
@@ -163,18 +165,23 @@ def warm_start(layout: ParameterLayout, state: TrainState, path: str | Path) -> 
     stored, own = read_weights(path), flatten(layout.arrays(np.asarray(state.params)))
     kept = [name for name, leaf in own.items() if name not in stored or stored[name].shape != leaf.shape]
     if len(kept) == len(own):
-        raise ValueError(f"path: no parameter in {path} fits these networks; give a run of a like model.* "
-                         "configuration")
-    params = jnp.asarray(np.concatenate([
-        np.ravel(leaf if name in kept else stored[name]) for name, leaf in own.items()]))
+        raise ValueError(
+            f"path: no parameter in {path} fits these networks; give a run of a like model.* configuration"
+        )
+    params = jnp.asarray(
+        np.concatenate([np.ravel(leaf if name in kept else stored[name]) for name, leaf in own.items()])
+    )
     return state._replace(params=params, ema=jnp.copy(params)), kept
 
 
 def flatten(tree: Any) -> dict[str, Array]:
     """The leaves of a pytree by dotted name, in the pytree's own order."""
     return {
-        ".".join(str(getattr(part, "key", getattr(part, "name", getattr(part, "idx", part)))) for part in path
-                 if getattr(part, "name", None) != "value"): leaf
+        ".".join(
+            str(getattr(part, "key", getattr(part, "name", getattr(part, "idx", part))))
+            for part in path
+            if getattr(part, "name", None) != "value"
+        ): leaf
         for path, leaf in jax.tree_util.tree_leaves_with_path(tree)
     }
 
@@ -189,12 +196,16 @@ def compare(found: Mapping[str, tuple[int, ...]], wanted: Mapping[str, Array], s
         if name not in found:
             raise ValueError(f"{source}: {name} is missing; the file belongs to another model.* configuration")
         if tuple(found[name]) != leaf.shape:
-            raise ValueError(f"{source}: {name} has shape {tuple(found[name])}, the configuration wants {leaf.shape}; "
-                             "use the configuration that it was trained with")
+            raise ValueError(
+                f"{source}: {name} has shape {tuple(found[name])}, the configuration wants {leaf.shape}; "
+                "use the configuration that it was trained with"
+            )
     for name in found:
         if name not in wanted:
-            raise ValueError(f"{source}: {name} is not part of this configuration's networks; "
-                             "use the configuration that it was trained with")
+            raise ValueError(
+                f"{source}: {name} is not part of this configuration's networks; "
+                "use the configuration that it was trained with"
+            )
 
 
 def _plain(state: TrainState) -> TrainState:

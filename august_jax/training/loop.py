@@ -41,9 +41,16 @@ Draw = Callable[[Path, Path], None]
 
 
 @streams.pin
-def train(config: Config, next_batch: NextBatch, out_dir: str | Path, *, validate: Validate | None = None,
-          draw: Draw | None = None, weights: str | Path | None = None,
-          progress: Progress = silent) -> TrainState:
+def train(
+    config: Config,
+    next_batch: NextBatch,
+    out_dir: str | Path,
+    *,
+    validate: Validate | None = None,
+    draw: Draw | None = None,
+    weights: str | Path | None = None,
+    progress: Progress = silent,
+) -> TrainState:
     """Train to ``config.train.steps`` and return the last state.
 
     The next batch is made in a thread while a step runs. Every ``save_every`` steps, and at the end, the state is
@@ -77,15 +84,21 @@ def train(config: Config, next_batch: NextBatch, out_dir: str | Path, *, validat
         if checkpoints.latest is not None:
             _check_same_run(config, out / "config.yaml")
             if checkpoints.latest > settings.steps:
-                raise ValueError(f"train.steps: {settings.steps} is less than the {checkpoints.latest} steps that "
-                                 f"{out} has done; ask for as many, or choose another folder")
+                raise ValueError(
+                    f"train.steps: {settings.steps} is less than the {checkpoints.latest} steps that "
+                    f"{out} has done; ask for as many, or choose another folder"
+                )
             state = checkpoints.restore(state)
             start = int(state.step)
-            progress(f"continuing from step {start} of {settings.steps}"
-                     + ("; other weights are for new runs, and this one goes on from its own" if weights else ""))
+            progress(
+                f"continuing from step {start} of {settings.steps}"
+                + ("; other weights are for new runs, and this one goes on from its own" if weights else "")
+            )
         elif weights is not None:
-            progress(f"starting from {weights}" + (f", but for {len(kept)} arrays that it lacks, such as {kept[0]}"
-                                                   if kept else ""))
+            progress(
+                f"starting from {weights}"
+                + (f", but for {len(kept)} arrays that it lacks, such as {kept[0]}" if kept else "")
+            )
         metrics = out / "metrics.jsonl"
         if start == 0:
             _set_aside(out, progress)
@@ -142,23 +155,31 @@ def _told(line: Mapping[str, float | int], steps: int) -> str:
     known = ("step", "samples_per_s", "seconds_left")
     numbers = "  ".join(f"{name} {value:.4g}" for name, value in line.items() if name not in known)
     minutes, seconds = divmod(round(line["seconds_left"]), 60)
-    return (f"step {line['step']}/{steps}  {numbers}  {line['samples_per_s']:.0f} samples/s  "
-            f"{minutes}:{seconds:02d} left")
+    return (
+        f"step {line['step']}/{steps}  {numbers}  {line['samples_per_s']:.0f} samples/s  {minutes}:{seconds:02d} left"
+    )
 
 
 def _check_same_run(config: Config, path: Path) -> None:
     """Compare with the folder's configuration, apart from how long it runs and what it reports."""
+
     def core(config: Config) -> dict[str, Any]:
         train = dataclasses.replace(config.train, steps=1, log_every=1, save_every=1)
         tree = configuration.to_dict(dataclasses.replace(config, train=train, evaluate=configuration.EvaluateConfig()))
-        return {f"{section}.{name}": value for section, fields in tree.items() if isinstance(fields, dict)
-                for name, value in fields.items()}
+        return {
+            f"{section}.{name}": value
+            for section, fields in tree.items()
+            if isinstance(fields, dict)
+            for name, value in fields.items()
+        }
 
     before, now = core(configuration.read(path)), core(config)
     for name, value in now.items():
         if before[name] != value:
-            raise ValueError(f"{name}: the run in {path.parent} was started with {before[name]!r}, now it is "
-                             f"{value!r}; continue with the old value or choose another folder")
+            raise ValueError(
+                f"{name}: the run in {path.parent} was started with {before[name]!r}, now it is "
+                f"{value!r}; continue with the old value or choose another folder"
+            )
 
 
 def _set_aside(out: Path, progress: Progress) -> None:
@@ -179,6 +200,7 @@ def _set_aside(out: Path, progress: Progress) -> None:
 
 def _forget_after(metrics: Path, step: int) -> None:
     """Drop what a killed run logged beyond its last checkpoint, and lines that are no log points."""
+
     def kept(line: str) -> bool:
         try:
             return json.loads(line)["step"] <= step

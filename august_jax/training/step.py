@@ -76,11 +76,13 @@ class ParameterLayout:
         """The networks of these parameters."""
         return nnx.merge(self.graphdef, self.arrays(params))
 
-    def loss(self, params: Float[Array, " parameters"], key: Key[Array, ""],
-             batch: Batch) -> tuple[Float[jax.Array, ""], dict[str, Float[jax.Array, ""]]]:
+    def loss(
+        self, params: Float[Array, " parameters"], key: Key[Array, ""], batch: Batch
+    ) -> tuple[Float[jax.Array, ""], dict[str, Float[jax.Array, ""]]]:
         """:meth:`August.loss` of a batch, a :data:`Loss`."""
-        return self.networks(params).loss(key, batch.heard, batch.predicted, batch.snr_db, batch.cloud,
-                                          batch.reference_channel)
+        return self.networks(params).loss(
+            key, batch.heard, batch.predicted, batch.snr_db, batch.cloud, batch.reference_channel
+        )
 
 
 def optimizer(train: TrainConfig) -> optax.GradientTransformation:
@@ -99,8 +101,9 @@ def initial_state(config: Config) -> tuple[ParameterLayout, TrainState]:
     return ParameterLayout(graphdef, structure, tuple(leaf.shape for leaf in leaves)), state
 
 
-def train_step(loss: Loss, train: TrainConfig, state: TrainState,
-               batch: Any) -> tuple[TrainState, dict[str, Float[Array, ""]]]:
+def train_step(
+    loss: Loss, train: TrainConfig, state: TrainState, batch: Any
+) -> tuple[TrainState, dict[str, Float[Array, ""]]]:
     """The state after one step on a batch of what ``loss`` takes, and the numbers of the step, each a float32 ().
 
     The numbers are ``loss``, its unweighted terms, and ``gradient``, the global norm before clipping.

@@ -25,11 +25,13 @@ def sphere(radius, across):
 def cross(arm=5, edge=0.012, fill=0.3):
     """A small drone-like cross of partly filled cells with sheet normals along z."""
     span = np.arange(-arm, arm + 1) * edge
-    points = np.concatenate([
-        np.stack([span, 0 * span, 0 * span], -1),
-        np.stack([0 * span, span, 0 * span], -1)[np.abs(span) > 1e-9],
-        np.array([[0.0, 0.0, edge], [edge, 0.0, edge], [0.0, edge, -edge]]),
-    ])
+    points = np.concatenate(
+        [
+            np.stack([span, 0 * span, 0 * span], -1),
+            np.stack([0 * span, span, 0 * span], -1)[np.abs(span) > 1e-9],
+            np.array([[0.0, 0.0, edge], [edge, 0.0, edge], [0.0, edge, -edge]]),
+        ]
+    )
     normals = np.broadcast_to([0.0, 0.0, 1.0], points.shape)
     return Cells(points, np.full(len(points), edge**3), np.full(len(points), fill), normals)
 

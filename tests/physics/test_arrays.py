@@ -20,8 +20,9 @@ def scattered(count=5, seed=0):
     """Antennas at random places within half a metre, each turned its own way."""
     random = np.random.default_rng(seed)
     moments = random.normal(size=(count, 3))
-    return AntennaArray(random.uniform(-0.5, 0.5, (count, 3)),
-                        moments / np.linalg.norm(moments, axis=1, keepdims=True), 3e9)
+    return AntennaArray(
+        random.uniform(-0.5, 0.5, (count, 3)), moments / np.linalg.norm(moments, axis=1, keepdims=True), 3e9
+    )
 
 
 @pytest.fixture(scope="module")
@@ -86,8 +87,9 @@ def test_gradients_in_antennas_and_tones_agree_with_differences():
 
     def heard(step, hertz, solver):
         array = AntennaArray(base.positions + step * direction, jnp.asarray(base.moments), 3e9)
-        channel = sensing_channel(array, jax.tree.map(jnp.asarray, CELLS), CHI, solver=solver,
-                                  frequencies_hz=(3e9 + hertz,))
+        channel = sensing_channel(
+            array, jax.tree.map(jnp.asarray, CELLS), CHI, solver=solver, frequencies_hz=(3e9 + hertz,)
+        )
         return 1e6 * jnp.real(jnp.sum(channel * weights))
 
     value = jax.jit(lambda step, hertz: heard(step, hertz, "mom"))
@@ -105,8 +107,9 @@ def test_a_factored_body_has_gradients_in_its_antennas(body):
     base, direction = scattered(), np.random.default_rng(4).normal(size=(5, 3))
 
     def strength(step):
-        array = AntennaArray(jnp.asarray(base.positions + step * direction, jnp.float32), jnp.asarray(base.moments),
-                             3e9)
+        array = AntennaArray(
+            jnp.asarray(base.positions + step * direction, jnp.float32), jnp.asarray(base.moments), 3e9
+        )
         return jnp.sum(jnp.abs(1e6 * body_channel(body, array, np.eye(3), PLACE, CHI)) ** 2)
 
     def exact(step):
@@ -119,15 +122,18 @@ def test_a_factored_body_has_gradients_in_its_antennas(body):
 GOOD = scattered()
 
 
-@pytest.mark.parametrize(("parts", "message"), [
-    ((GOOD.positions[0], GOOD.moments, 3e9), "positions: got shape"),
-    ((GOOD.positions, GOOD.moments[:2], 3e9), "moments: got shape"),
-    ((GOOD.positions * np.nan, GOOD.moments, 3e9), "positions: holds NaN"),
-    ((jnp.asarray(GOOD.positions), 2.0 * jnp.asarray(GOOD.moments), 3e9), "moments: row 0 has length 2"),
-    (([[0.0, 0.0, 0.0]], [[0.0, 0.0, 2.0]], 3e9), "moments: row 0 has length 2"),
-    ((GOOD.positions, 2.0 * GOOD.moments, 3e9), "moments: row . has length 2"),
-    ((GOOD.positions, GOOD.moments, -1.0), "frequency_hz"),
-])
+@pytest.mark.parametrize(
+    ("parts", "message"),
+    [
+        ((GOOD.positions[0], GOOD.moments, 3e9), "positions: got shape"),
+        ((GOOD.positions, GOOD.moments[:2], 3e9), "moments: got shape"),
+        ((GOOD.positions * np.nan, GOOD.moments, 3e9), "positions: holds NaN"),
+        ((jnp.asarray(GOOD.positions), 2.0 * jnp.asarray(GOOD.moments), 3e9), "moments: row 0 has length 2"),
+        (([[0.0, 0.0, 0.0]], [[0.0, 0.0, 2.0]], 3e9), "moments: row 0 has length 2"),
+        ((GOOD.positions, 2.0 * GOOD.moments, 3e9), "moments: row . has length 2"),
+        ((GOOD.positions, GOOD.moments, -1.0), "frequency_hz"),
+    ],
+)
 def test_bad_arrays_are_refused(parts, message, unchecked):
     with pytest.raises(ValueError, match=message):
         AntennaArray(*parts)

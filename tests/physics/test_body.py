@@ -80,8 +80,9 @@ def test_what_cells_radiate_from_where_they_do_not_hear_is_in_the_basis():
     axes = [(np.arange(count) - 0.5 * (count - 1)) * 0.01 for count in (12, 12, 2)]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
     shifts = 0.004 * np.random.default_rng(0).uniform(-1, 1, grid.shape)
-    slab = CELLS._replace(positions=grid, volumes=np.full(len(grid), 1e-6), fill=1.0, normals=None,
-                          centroids=grid + shifts)
+    slab = CELLS._replace(
+        positions=grid, volumes=np.full(len(grid), 1e-6), fill=1.0, normals=None, centroids=grid + shifts
+    )
     assert factor_body(slab, 3e9, cache=False).error < 1e-3
 
 
@@ -177,14 +178,20 @@ def test_the_cache_is_used_and_a_damaged_file_is_made_again(monkeypatch, tmp_pat
     np.testing.assert_allclose(third.eigenvalues, first.eigenvalues)
 
 
-@pytest.mark.parametrize(("call", "message"), [
-    (lambda body: factor_body(CELLS, -3e9), "frequency_hz"),
-    (lambda body: factor_body(CELLS, 3e9, nearest_m=0.05), "nearest_m"),
-    (lambda body: body_channel(body, ARRAY, np.eye(2), np.ones(3), 2.0), "rotation: got shape"),
-    (lambda body: body_channel(body, ARRAY, np.eye(3), np.ones((2, 3)), 2.0), "translation: got shape"),
-    (lambda body: body_channel(body, ARRAY, np.eye(3), np.array([0.0, 1.0, 0.0]), 2.0), "smaller nearest_m"),
-    (lambda body: body_channel(body, ARRAY, np.eye(3), np.array([0.0, 5.0, 0.0]), np.ones(3)), "contrast: got shape"),
-])
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda body: factor_body(CELLS, -3e9), "frequency_hz"),
+        (lambda body: factor_body(CELLS, 3e9, nearest_m=0.05), "nearest_m"),
+        (lambda body: body_channel(body, ARRAY, np.eye(2), np.ones(3), 2.0), "rotation: got shape"),
+        (lambda body: body_channel(body, ARRAY, np.eye(3), np.ones((2, 3)), 2.0), "translation: got shape"),
+        (lambda body: body_channel(body, ARRAY, np.eye(3), np.array([0.0, 1.0, 0.0]), 2.0), "smaller nearest_m"),
+        (
+            lambda body: body_channel(body, ARRAY, np.eye(3), np.array([0.0, 5.0, 0.0]), np.ones(3)),
+            "contrast: got shape",
+        ),
+    ],
+)
 def test_bad_input_is_named(body, call, message, unchecked):
     with pytest.raises(ValueError, match=message):
         call(body)

@@ -162,8 +162,9 @@ def test_energy_balance(exact, tolerance):
         nodes, weights = np.polynomial.legendre.leggauss(24)
         angles = 2 * np.pi * np.arange(48) / 48
         sine = np.sqrt(1 - nodes**2)
-        directions = np.stack([np.outer(sine, np.cos(angles)), np.outer(sine, np.sin(angles)),
-                               np.outer(nodes, np.ones(48))], -1).reshape(-1, 3)
+        directions = np.stack(
+            [np.outer(sine, np.cos(angles)), np.outer(sine, np.sin(angles)), np.outer(nodes, np.ones(48))], -1
+        ).reshape(-1, 3)
         moments = np.asarray(weighted_fields(cells, jnp.asarray(polarization[:, None]))).reshape(-1, 3)
         far = np.exp(-1j * k * directions @ np.asarray(cells.positions).T) @ moments
         far = far - directions * np.sum(far * directions, 1, keepdims=True)
@@ -201,8 +202,11 @@ def test_cells_may_be_constants_of_a_compiled_function_and_a_tone_its_argument()
         return sensing_channel(ARRAY, cells, chi, frequencies_hz=(tone,))[0]
 
     expected = sensing_channel(ARRAY, cells, CHI)
-    for compiled in (jax.jit(lambda chi: sensing_channel(ARRAY, cells, chi))(CHI), jax.jit(channel)(3e9, CHI),
-                     jax.jit(lambda tone: channel(tone, CHI))(3e9)):
+    for compiled in (
+        jax.jit(lambda chi: sensing_channel(ARRAY, cells, chi))(CHI),
+        jax.jit(channel)(3e9, CHI),
+        jax.jit(lambda tone: channel(tone, CHI))(3e9),
+    ):
         np.testing.assert_allclose(compiled, expected, rtol=1e-4, atol=1e-5 * float(jnp.abs(expected).max()))
 
 
@@ -233,19 +237,22 @@ def test_batches_are_maps_of_the_single_case():
 GOOD = cross()
 
 
-@pytest.mark.parametrize(("cells", "chi", "options", "message"), [
-    (GOOD, CHI, {"solver": "fast"}, "unknown solver 'fast'"),
-    (GOOD._replace(positions=GOOD.positions[None]), CHI, {}, "cells.positions: got shape"),
-    (GOOD._replace(volumes=GOOD.volumes[:-1]), CHI, {}, "cells.volumes: got shape"),
-    (GOOD._replace(volumes=-GOOD.volumes), CHI, {}, "must be positive"),
-    (GOOD._replace(positions=GOOD.positions * np.nan), CHI, {}, "NaN"),
-    (GOOD._replace(positions=np.zeros_like(GOOD.positions) + 1.0), CHI, {}, "cells 0 and 1 at"),
-    (GOOD._replace(fill=1.5), CHI, {}, "cells.fill"),
-    (GOOD._replace(centroids=np.zeros((2, 3))), CHI, {}, "cells.centroids: got shape"),
-    (GOOD, np.ones(3), {}, "contrast: got shape"),
-    (GOOD, np.nan, {}, "contrast: holds NaN"),
-    (GOOD, CHI, {"at_array": True}, "outside the body"),
-])
+@pytest.mark.parametrize(
+    ("cells", "chi", "options", "message"),
+    [
+        (GOOD, CHI, {"solver": "fast"}, "unknown solver 'fast'"),
+        (GOOD._replace(positions=GOOD.positions[None]), CHI, {}, "cells.positions: got shape"),
+        (GOOD._replace(volumes=GOOD.volumes[:-1]), CHI, {}, "cells.volumes: got shape"),
+        (GOOD._replace(volumes=-GOOD.volumes), CHI, {}, "must be positive"),
+        (GOOD._replace(positions=GOOD.positions * np.nan), CHI, {}, "NaN"),
+        (GOOD._replace(positions=np.zeros_like(GOOD.positions) + 1.0), CHI, {}, "cells 0 and 1 at"),
+        (GOOD._replace(fill=1.5), CHI, {}, "cells.fill"),
+        (GOOD._replace(centroids=np.zeros((2, 3))), CHI, {}, "cells.centroids: got shape"),
+        (GOOD, np.ones(3), {}, "contrast: got shape"),
+        (GOOD, np.nan, {}, "contrast: holds NaN"),
+        (GOOD, CHI, {"at_array": True}, "outside the body"),
+    ],
+)
 def test_bad_input_is_named(cells, chi, options, message, unchecked):
     options = dict(options)
     place = ARRAY.positions[3] if options.pop("at_array", False) else CENTRE

@@ -66,10 +66,16 @@ REFUSED = [
     (of_cells(positions=PLACED.positions + 1j), "cells.positions: got complex"),
     (of_cells(volumes=["a"] * CELLS.count), "cells.volumes: got entries of type"),
     (of_cells(positions=[[0.0, 1.0, 2.0], [1.0]]), "cells.positions: got rows of different lengths"),
-    (lambda body: sensing_channels(ARRAY, jax.tree.map(lambda part: part[None], CELLS.moved(EYE, ARRAY.positions[0])),
-                                   np.ones(1)), "cells.positions: a cell is"),
-    (lambda body: sensing_channels(ARRAY, jax.tree.map(lambda part: part[None], PLACED), np.full(1, np.nan)),
-     "contrast: holds NaN"),
+    (
+        lambda body: sensing_channels(
+            ARRAY, jax.tree.map(lambda part: part[None], CELLS.moved(EYE, ARRAY.positions[0])), np.ones(1)
+        ),
+        "cells.positions: a cell is",
+    ),
+    (
+        lambda body: sensing_channels(ARRAY, jax.tree.map(lambda part: part[None], PLACED), np.full(1, np.nan)),
+        "contrast: holds NaN",
+    ),
     (lambda body: sensing_channels(ARRAY, PLACED, np.ones(1)), "give .B, N, 3. and .B,., one target a row"),
     (lambda body: factor_body(CELLS._replace(positions=NEAR), 3e9), "cells 0 and 15"),
     (lambda body: jax.jit(lambda cells: factor_body(cells, 3e9).weights)(CELLS), "cells: are traced"),
@@ -97,20 +103,32 @@ REFUSED = [
     (of_body(array=OTHER), r"array: its carrier is 5.8e\+09 Hz, but the body was factored for 3e\+09 Hz"),
     (lambda body: fisher_information(body, OTHER, EYE, PLACE, 3.0, 5e-3, 100.0), "array: its carrier is 5.8e"),
     # poses and materials
-    *((of_body(rotation=bad), message) for bad, message in (
-        (2.0 * EYE, "rotation: R.T R differs from the identity by 3"), (MIRROR, "rotation: is a mirror"),
-        (EYE * np.nan, "rotation: R.T R differs"))),
+    *(
+        (of_body(rotation=bad), message)
+        for bad, message in (
+            (2.0 * EYE, "rotation: R.T R differs from the identity by 3"),
+            (MIRROR, "rotation: is a mirror"),
+            (EYE * np.nan, "rotation: R.T R differs"),
+        )
+    ),
     *((lambda body, bad=bad: CELLS.moved(bad, PLACE), "rotation: ") for bad in (2.0 * EYE, MIRROR)),
     (lambda body: CELLS.moved(EYE, PLACE * np.nan), "translation: holds NaN"),
     (of_body(translation=PLACE * np.nan), "translation: holds NaN"),
     *((of_body(chi=bad), "contrast: holds NaN or infinity") for bad in (np.nan, np.inf, jnp.asarray(np.nan + 0j))),
-    *((of_bound(door=door, **bad), message)
-      for door in (fisher_information, unknown_gain_position_bound) for bad, message in (
-        ({"permittivity": 1.0, "conductivity": 0.0}, "permittivity: is 1 .* a body of air"),
-        ({"permittivity": np.nan}, "permittivity: holds NaN"), ({"conductivity": np.inf}, "conductivity: holds"),
-        ({"position": PLACE * np.nan}, "position: holds NaN"), ({"rotation": MIRROR}, "rotation: is a mirror"),
-        ({"position": PLACE * 0.1}, "position: the body is .* pass a smaller nearest_m"),
-        ({"snr": 0.0}, "snr: got 0"), ({"snr": np.nan}, "snr: holds NaN"))),
+    *(
+        (of_bound(door=door, **bad), message)
+        for door in (fisher_information, unknown_gain_position_bound)
+        for bad, message in (
+            ({"permittivity": 1.0, "conductivity": 0.0}, "permittivity: is 1 .* a body of air"),
+            ({"permittivity": np.nan}, "permittivity: holds NaN"),
+            ({"conductivity": np.inf}, "conductivity: holds"),
+            ({"position": PLACE * np.nan}, "position: holds NaN"),
+            ({"rotation": MIRROR}, "rotation: is a mirror"),
+            ({"position": PLACE * 0.1}, "position: the body is .* pass a smaller nearest_m"),
+            ({"snr": 0.0}, "snr: got 0"),
+            ({"snr": np.nan}, "snr: holds NaN"),
+        )
+    ),
 ]
 
 
@@ -154,15 +172,19 @@ def coarse_body():
     return factor_body(COARSE._replace(positions=COARSE.positions - COARSE.positions.mean(axis=0)), 3e9)
 
 
-@pytest.mark.parametrize("call", [
-    lambda: sensing_channel(ARRAY, COARSE, 4.0),
-    lambda: sensing_channel(ARRAY, COARSE, 4.0, frequencies_hz=[2.9e9]),
-    lambda: sensing_channels(ARRAY, jax.tree.map(lambda part: np.asarray(part)[None], COARSE), np.array([4.0])),
-    lambda: jax.jit(lambda chi: sensing_channel(ARRAY, COARSE, chi))(4.0),
-    lambda: jax.jit(lambda place: sensing_channel(ARRAY, COARSE.moved(EYE, place), 4.0))(PLACE),
-    coarse_body,
-    lambda: body_channel(factor_body(TWO, 3e9), ARRAY, EYE, PLACE, 30.0),
-], ids=["one", "tones", "batch", "jitted", "moving", "factored", "body"])
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda: sensing_channel(ARRAY, COARSE, 4.0),
+        lambda: sensing_channel(ARRAY, COARSE, 4.0, frequencies_hz=[2.9e9]),
+        lambda: sensing_channels(ARRAY, jax.tree.map(lambda part: np.asarray(part)[None], COARSE), np.array([4.0])),
+        lambda: jax.jit(lambda chi: sensing_channel(ARRAY, COARSE, chi))(4.0),
+        lambda: jax.jit(lambda place: sensing_channel(ARRAY, COARSE.moved(EYE, place), 4.0))(PLACE),
+        coarse_body,
+        lambda: body_channel(factor_body(TWO, 3e9), ARRAY, EYE, PLACE, 30.0),
+    ],
+    ids=["one", "tones", "batch", "jitted", "moving", "factored", "body"],
+)
 def test_every_route_that_meets_coarse_cells_warns_with_the_number(call):
     with pytest.warns(UserWarning, match=r"cells of .* mm make .* a wavelength in .*, of .* wanted; use .* mm or less"):
         call()
@@ -182,8 +204,11 @@ def test_a_body_states_its_error_over_the_contrast_and_warns_with_it():
     block = Cells(grid, np.full(len(grid), 0.008**3))
     made = factor_body(block, 3e9)
     direction, moment = np.random.default_rng(1).normal(size=(2, 24, 3))
-    ball = AntennaArray(2.1 * direction / np.linalg.norm(direction, axis=1, keepdims=True),
-                        moment / np.linalg.norm(moment, axis=1, keepdims=True), 3e9)
+    ball = AntennaArray(
+        2.1 * direction / np.linalg.norm(direction, axis=1, keepdims=True),
+        moment / np.linalg.norm(moment, axis=1, keepdims=True),
+        3e9,
+    )
 
     def error(chi):
         with warnings.catch_warnings():
@@ -205,8 +230,9 @@ def test_a_body_states_its_error_over_the_contrast_and_warns_with_it():
         body_channel(made, ARRAY, EYE, PLACE, -8.0)
 
 
-@pytest.mark.parametrize("call", [lambda body: sensing_channel(ARRAY, PLACED, 0.0),
-                                  lambda body: body_channel(body, ARRAY, EYE, PLACE, 0j)])
+@pytest.mark.parametrize(
+    "call", [lambda body: sensing_channel(ARRAY, PLACED, 0.0), lambda body: body_channel(body, ARRAY, EYE, PLACE, 0j)]
+)
 def test_the_echo_of_air_is_zero_and_told(body, call):
     with pytest.warns(UserWarning, match="contrast: is 0, a body of air: its echo is zero"):
         assert not np.any(call(body))

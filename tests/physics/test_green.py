@@ -83,9 +83,10 @@ def test_steering_is_the_far_limit_of_the_spherical_wave():
     np.testing.assert_allclose(near, far, atol=1e-4)
 
 
-@pytest.mark.parametrize(("arguments", "message"), [
-    ((0, 4, 3e9), "nx, nz"), ((4, 4, -1.0), "frequency_hz"), ((4, 4, 3e9, (0.0, 0.0, 2.0)), "polarization"),
-])
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [((0, 4, 3e9), "nx, nz"), ((4, 4, -1.0), "frequency_hz"), ((4, 4, 3e9, (0.0, 0.0, 2.0)), "polarization")],
+)
 def test_bad_arrays_are_refused(arguments, message, unchecked):
     with pytest.raises(ValueError, match=message):
         PlanarArray(*arguments)

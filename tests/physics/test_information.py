@@ -72,8 +72,9 @@ def test_what_is_left_without_the_gain_is_what_a_wide_prior_leaves(information):
     left = without_gain(information)
     narrow = Spread().deviations()[:8]
     expected = np.linalg.inv(left + np.diag(narrow**-2.0))
-    np.testing.assert_allclose(error_covariance(information)[:8, :8], expected, rtol=2e-2,
-                               atol=2e-3 * np.outer(narrow, narrow).min())
+    np.testing.assert_allclose(
+        error_covariance(information)[:8, :8], expected, rtol=2e-2, atol=2e-3 * np.outer(narrow, narrow).min()
+    )
 
 
 def test_two_receivers_know_more_than_one():
@@ -101,8 +102,11 @@ def test_the_posterior_by_dense_sampling_is_as_wide_as_the_bound():
     steps = np.linspace(-6.0, 6.0, 25)
     offsets = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), -1).reshape(-1, 3) * np.sqrt(values) @ axes.T
     chi = contrast(3.0, 5e-3, 3e9).astype(jnp.complex64)
-    channel = jax.jit(lambda places: jax.lax.map(
-        lambda place: body_channel(body, ARRAY, jnp.eye(3), place, chi).reshape(-1), places, batch_size=256))
+    channel = jax.jit(
+        lambda places: jax.lax.map(
+            lambda place: body_channel(body, ARRAY, jnp.eye(3), place, chi).reshape(-1), places, batch_size=256
+        )
+    )
     candidates = np.asarray(channel(jnp.asarray(PLACE + offsets, jnp.float32)))
     candidates = candidates / np.linalg.norm(candidates, axis=1, keepdims=True)
     truth = candidates[len(candidates) // 2]

@@ -48,8 +48,12 @@ compiled_solve, compiled_channel = jax.jit(solve_krylov, static_argnames="steps"
 
 def system(chi):
     matrix = jax.jit(interaction_matrix)(CELLS, ARRAY.wavenumber)
-    fields = weighted_fields(CELLS, dipole_fields(CELLS.positions, jnp.asarray(ARRAY.positions, jnp.float32),
-                                                  jnp.array([0.0, 0.0, 1.0]), ARRAY.wavenumber))
+    fields = weighted_fields(
+        CELLS,
+        dipole_fields(
+            CELLS.positions, jnp.asarray(ARRAY.positions, jnp.float32), jnp.array([0.0, 0.0, 1.0]), ARRAY.wavenumber
+        ),
+    )
     return matrix, jnp.asarray(chi, jnp.complex64), fields
 
 
@@ -77,8 +81,9 @@ def test_the_error_of_the_channel_is_the_square_of_the_solution_s():
     errors = []
     for tolerance in (0.3, 0.003):
         found = compiled_solve(matrix, chi, fields, tolerance=tolerance)
-        errors.append(float(jnp.linalg.norm(compiled_channel(matrix, chi, fields, found) - exact)
-                            / jnp.linalg.norm(exact)))
+        errors.append(
+            float(jnp.linalg.norm(compiled_channel(matrix, chi, fields, found) - exact) / jnp.linalg.norm(exact))
+        )
         assert errors[-1] < tolerance**2
     assert errors[1] < 0.2 * errors[0]
 
@@ -107,8 +112,9 @@ def test_planes_do_what_the_matrix_does(away, few):
     """Solution, channel and its derivatives in all that a cell is; from afar only half of the columns are used."""
     cells = CELLS._replace(positions=CELLS.positions + away * jnp.array([0.6, 0.64, 0.48]))
     k, chi = ARRAY.wavenumber, jnp.asarray(MIXED, jnp.complex64)
-    fields = weighted_fields(cells, dipole_fields(cells.positions, jnp.asarray(ARRAY.positions, jnp.float32),
-                                                  jnp.array([0.0, 0.0, 1.0]), k))
+    fields = weighted_fields(
+        cells, dipole_fields(cells.positions, jnp.asarray(ARRAY.positions, jnp.float32), jnp.array([0.0, 0.0, 1.0]), k)
+    )
     slow = jax.jit(solve_krylov)(interaction_matrix(cells, k), chi, fields)
     fast = jax.jit(solve_moving)(cells, k, chi, fields)
     assert bool(jnp.all(fast.combinations[:, 8:] == 0)) == few
@@ -142,8 +148,11 @@ def test_the_local_factor_undoes_what_a_cell_does_to_itself():
     own = own + own.transpose(0, 2, 1)
     chi = jnp.asarray([0.0, 1.0, 3.0, 5.0 + 2j, 50j])
     factor = np.asarray(_local_factor(chi, own))
-    np.testing.assert_allclose((np.eye(3) - chi[:, None, None] * own) @ factor @ factor.transpose(0, 2, 1),
-                               np.tile(np.eye(3), (5, 1, 1)), atol=2e-5)
+    np.testing.assert_allclose(
+        (np.eye(3) - chi[:, None, None] * own) @ factor @ factor.transpose(0, 2, 1),
+        np.tile(np.eye(3), (5, 1, 1)),
+        atol=2e-5,
+    )
     x = random.normal(size=(15, 2)) + 0j
     np.testing.assert_allclose(_blockwise(own, jnp.asarray(x)).reshape(5, 3, 2), own @ x.reshape(5, 3, 2), atol=1e-6)
 

@@ -59,14 +59,17 @@ def off_mie(permittivity, ka, cells, moments):
     return worst
 
 
-@pytest.mark.parametrize(("permittivity", "ka", "ceiling"), [(2.0, 0.3, 0.01), (4.0, 0.3, 0.01), (2.0, 1.0, 0.04),
-                                                            (4.0, 1.0, 0.04), (2.0, 2.0, 0.06), (4.0, 2.0, 0.3)])
+@pytest.mark.parametrize(
+    ("permittivity", "ka", "ceiling"),
+    [(2.0, 0.3, 0.01), (4.0, 0.3, 0.01), (2.0, 1.0, 0.04), (4.0, 1.0, 0.04), (2.0, 2.0, 0.06), (4.0, 2.0, 0.3)],
+)
 def test_sphere_of_some_500_cells(permittivity, ka, ceiling):
     assert far_field_error(permittivity, ka, 9) < ceiling
 
 
-@pytest.mark.parametrize(("permittivity", "ka", "ceiling"), [(2.0, 0.3, 0.01), (4.0, 1.0, 0.02), (2.0, 2.0, 0.03),
-                                                            (4.0, 2.0, 0.15)])
+@pytest.mark.parametrize(
+    ("permittivity", "ka", "ceiling"), [(2.0, 0.3, 0.01), (4.0, 1.0, 0.02), (2.0, 2.0, 0.03), (4.0, 2.0, 0.15)]
+)
 def test_sphere_of_some_2000_cells(permittivity, ka, ceiling):
     assert krylov_far_field_error(permittivity, ka, 15) < ceiling
 

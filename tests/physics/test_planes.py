@@ -51,8 +51,9 @@ def test_the_change_is_the_derivative_of_the_quadratic_form(count):
                 value = form(points, k, vectors)
                 return jnp.sum(weights[0] * value.real + weights[1] * value.imag)
 
-            forwards = jax.jit(lambda points, k: jax.jvp(
-                lambda points, k: form(points, k, vectors), (points, k), (moved, 0.3))[1])
+            forwards = jax.jit(
+                lambda points, k: jax.jvp(lambda points, k: form(points, k, vectors), (points, k), (moved, 0.3))[1]
+            )
             return forwards(points, K), *jax.jit(jax.grad(loss, (0, 1)))(points, K)
 
         expected = derivatives(plain)
@@ -63,9 +64,11 @@ def test_the_change_is_the_derivative_of_the_quadratic_form(count):
         assert not jnp.any(batched(both))
         gradient = jax.grad(lambda both: jnp.sum(weights[0] * batched(both).real + weights[1] * batched(both).imag))
         close(jax.jit(gradient)(both)[1], expected[1], 1e-12)
-        close(jax.jit(lambda both: jax.jvp(batched, (both,), (jnp.stack([moved, moved]),))[1])(both)[1],
-              jax.jit(lambda points: jax.jvp(lambda points: plain(points, K, vectors), (points,), (moved,))[1])(points),
-              1e-12)
+        close(
+            jax.jit(lambda both: jax.jvp(batched, (both,), (jnp.stack([moved, moved]),))[1])(both)[1],
+            jax.jit(lambda points: jax.jvp(lambda points: plain(points, K, vectors), (points,), (moved,))[1])(points),
+            1e-12,
+        )
 
 
 def test_cosines_and_sines_of_turns():

@@ -50,8 +50,9 @@ def incident_field(points, wave):
 def radiated(sites, moments):
     nodes, angles = np.polynomial.legendre.leggauss(8)[0], 2 * np.pi * np.arange(12) / 12
     sine = np.sqrt(1 - nodes**2)
-    directions = np.stack([np.outer(sine, np.cos(angles)), np.outer(sine, np.sin(angles)),
-                           np.outer(nodes, np.ones(12))], -1).reshape(-1, 3)
+    directions = np.stack(
+        [np.outer(sine, np.cos(angles)), np.outer(sine, np.sin(angles)), np.outer(nodes, np.ones(12))], -1
+    ).reshape(-1, 3)
     field = np.exp(-1j * K * directions @ sites.T) @ moments
     return field - directions * np.sum(field * directions, 1, keepdims=True)
 
@@ -124,7 +125,8 @@ def test_cells_couple_and_hear_where_the_material_is(reference, permittivity, pl
     for tilt in (0.0, 0.35, 0.7):
         cells, lean = coarse(tilt), turned([0.15, tilt, 0.1])
         centres = np.round(np.asarray(cells.positions) @ lean / 0.01) * 0.01 @ lean.T
-        fields = [far_field(each, permittivity - 1.0, WAVES["along"]) for each in (
-            cells, cells._replace(**{place: centres}))]
+        fields = [
+            far_field(each, permittivity - 1.0, WAVES["along"]) for each in (cells, cells._replace(**{place: centres}))
+        ]
         errors += [np.linalg.norm(field - exact) ** 2 for field in fields]
     assert errors[0] < gain**2 * errors[1], np.sqrt(errors) / np.linalg.norm(exact)

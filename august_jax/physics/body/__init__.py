@@ -5,4 +5,13 @@ from august_jax.physics.body.body import Body, alike, body_channel, judge_contra
 from august_jax.physics.body.cache import cache_folder
 from august_jax.physics.body.factor import factor_bodies, factor_body
 
-__all__ = ["Body", "alike", "aperture_skeleton", "body_channel", "cache_folder", "factor_bodies", "factor_body", "judge_contrast"]
+__all__ = [
+    "Body",
+    "alike",
+    "aperture_skeleton",
+    "body_channel",
+    "cache_folder",
+    "factor_bodies",
+    "factor_body",
+    "judge_contrast",
+]

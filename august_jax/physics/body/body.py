@@ -117,12 +117,20 @@ def alike(bodies: Sequence[Body]) -> list[Body]:
         return []
     coarsest = max(bodies, key=lambda body: coarseness(body.edge_m, body.fill))
     worst = {name: max(getattr(body, name) for body in bodies) for name in ("radius_m", "nearest_m", "cells")}
-    worst |= {"errors": tuple(max(each) for each in zip(*(body.errors for body in bodies), strict=True)),
-              "edge_m": coarsest.edge_m, "fill": coarsest.fill}
+    worst |= {
+        "errors": tuple(max(each) for each in zip(*(body.errors for body in bodies), strict=True)),
+        "edge_m": coarsest.edge_m,
+        "fill": coarsest.fill,
+    }
     return [
-        replace(body, **worst, **{
-            name: jnp.asarray(np.pad(leaf, [(0, n - m) for m, n in zip(leaf.shape, shape)]))
-            for name, leaf, shape in zip(("weights", "eigenvalues", "points", "rows"), own, shapes, strict=True)})
+        replace(
+            body,
+            **worst,
+            **{
+                name: jnp.asarray(np.pad(leaf, [(0, n - m) for m, n in zip(leaf.shape, shape)]))
+                for name, leaf, shape in zip(("weights", "eigenvalues", "points", "rows"), own, shapes, strict=True)
+            },
+        )
         for body, own in zip(bodies, leaves)
     ]
 
@@ -174,8 +182,14 @@ def body_channel(
     check_contrast(contrast, ((), (tones,)), f"a scalar or ({tones},), one value a tone")
     if is_concrete(contrast):
         judge_contrast(body, contrast)
-    return _body_channel(body, array, receiver, settled("rotation", rotation), settled("translation", translation),
-                         settled("contrast", contrast))
+    return _body_channel(
+        body,
+        array,
+        receiver,
+        settled("rotation", rotation),
+        settled("translation", translation),
+        settled("contrast", contrast),
+    )
 
 
 def judge_contrast(body: Body, contrast: ArrayLike | Sequence) -> None:
@@ -195,7 +209,9 @@ def judge_contrast(body: Body, contrast: ArrayLike | Sequence) -> None:
                 figure = f"about {error:.1g}" if error == error else "not known, and large"
                 warnings.warn(
                     f"contrast: at {value:.3g} the error of the factored body is {figure} ({body.error:.1g} at 3.5); "
-                    "take sensing_channel, which solves the whole system", stacklevel=3)
+                    "take sensing_channel, which solves the whole system",
+                    stacklevel=3,
+                )
                 return
 
 
@@ -208,8 +224,9 @@ def _body_channel(body, array, receiver, rotation, translation, contrast):
         chi = contrasts[tone]
         gain = (wavenumber(frequency) ** 2) * chi / (1.0 - chi * body.eigenvalues[tone])
         sent, sender = _modal_fields(body, tone, array, rotation, translation)
-        heard, hearer = (sent, sender) if receiver is None else _modal_fields(
-            body, tone, receiver, rotation, translation)
+        heard, hearer = (
+            (sent, sender) if receiver is None else _modal_fields(body, tone, receiver, rotation, translation)
+        )
         # Fields are O(0.1/r) and the cells' volumes O(1e-6): the product stays far above the smallest float32.
         channel = _product(heard, gain[:, None] * sent)
         if hearer is not None:

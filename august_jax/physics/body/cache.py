@@ -49,6 +49,9 @@ def cached(key: Iterable[np.ndarray | float | None], names: tuple[str, ...], mak
         with replacing(path) as aside:
             np.savez(aside, **factors)
     except OSError as error:
-        warnings.warn(f"a factored body could not be kept in {path.parent} ({error.strerror}); set AUGUST_CACHE to "
-                      "a folder that can be written", stacklevel=2)
+        warnings.warn(
+            f"a factored body could not be kept in {path.parent} ({error.strerror}); set AUGUST_CACHE to "
+            "a folder that can be written",
+            stacklevel=2,
+        )
     return factors

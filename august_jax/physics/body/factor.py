@@ -132,9 +132,9 @@ def _joined(factors, tones, single, radius, nearest_m, count, edge_m, fill) -> B
     modes, columns, points = (max(factor[name].shape[axis] for factor in factors) for name, axis in sizes)
 
     def padded(name, *shape):
-        return np.stack([
-            np.pad(f[name], [(0, n - s) for s, n in zip(f[name].shape, shape, strict=True)]) for f in factors
-        ])
+        return np.stack(
+            [np.pad(f[name], [(0, n - s) for s, n in zip(f[name].shape, shape, strict=True)]) for f in factors]
+        )
 
     return Body(
         weights=jnp.asarray(padded("weights", 3, modes, columns)),
@@ -201,8 +201,9 @@ def _factor(cells: Cells, frequency_hz: float, nearest_m: float) -> Factors:
     with threadpool_limits(1):
         eigenvalues, vectors = scipy.linalg.eig(reduced, overwrite_a=True, check_finite=False)
     vectors = _symmetric_orthonormal(vectors, eigenvalues)
-    errors = _errors_beyond(eigenvalues, vectors.T @ seen[:, :_PROBES], vectors.T @ beside[0], beside[1],
-                            vectors.T @ across, corner)
+    errors = _errors_beyond(
+        eigenvalues, vectors.T @ seen[:, :_PROBES], vectors.T @ beside[0], beside[1], vectors.T @ across, corner
+    )
     incident = (basis.T @ span) @ inverse * weight[rows]
     real, imag = vectors.real.T @ incident, vectors.imag.T @ incident
     points, place = np.unique(rows // 3, return_inverse=True)
@@ -225,7 +226,8 @@ def _interaction_parts(cells, k, slab=128):
             start = max(min(start, count - slab), 0)  # slabs of one shape: the last overlaps
             here = slice(start, start + slab)
             parts[:, 3 * start : 3 * (start + slab)] = _slab(
-                cells.positions[here], cells.positions, weight[here], weight, k)
+                cells.positions[here], cells.positions, weight[here], weight, k
+            )
         own = np.asarray(own_blocks(cells, k))
     place = np.arange(count)
     for part, diagonal in zip(parts, (own.real, own.imag), strict=True):

@@ -72,8 +72,9 @@ class _Document(NamedTuple):
         for kind in kinds:
             if name.startswith("#") and (kind, name[1:]) in self.ids:
                 return self.ids[kind, name[1:]]
-        raise DamagedMesh(f"<{element.tag} {attribute}={name!r}> refers to no <{kinds[0]}> of the file; export "
-                          "the mesh as one file")
+        raise DamagedMesh(
+            f"<{element.tag} {attribute}={name!r}> refers to no <{kinds[0]}> of the file; export the mesh as one file"
+        )
 
 
 def _declared(root: ElementTree.Element) -> Declared:
@@ -87,12 +88,21 @@ def _declared(root: ElementTree.Element) -> Declared:
         raise DamagedMesh(f"<unit> is meter={meter!r}; wanted a positive number of metres")
     default = "COLLADA's default"
     # of the frames that COLLADA lists, x of the one with z up is x of the one with y up and -y of the one with x up
-    return Declared(float(metres[0]), _UP[up], None, ("its <unit>" if unit is not None else default,
-                                                      "its <up_axis>" if axis is not None else default, ""))
+    return Declared(
+        float(metres[0]),
+        _UP[up],
+        None,
+        ("its <unit>" if unit is not None else default, "its <up_axis>" if axis is not None else default, ""),
+    )
 
 
-def _walk(document: _Document, node: ElementTree.Element, parent: np.ndarray, parts: list[Surface],
-          above: tuple[ElementTree.Element, ...]) -> None:
+def _walk(
+    document: _Document,
+    node: ElementTree.Element,
+    parent: np.ndarray,
+    parts: list[Surface],
+    above: tuple[ElementTree.Element, ...],
+) -> None:
     """Append the surfaces of a node and of those below it, placed."""
     if node in above:
         raise DamagedMesh(f"node {node.get('id')!r} holds itself; export it again")
@@ -103,12 +113,15 @@ def _walk(document: _Document, node: ElementTree.Element, parent: np.ndarray, pa
         elif element.tag in _TRANSFORMS:
             matrix = matrix @ _matrix(element)
         elif element.tag == "instance_controller":
-            raise DamagedMesh("it shows a skinned or morphed mesh (<instance_controller>), which is not read here; "
-                              "apply its armature and export it again")
+            raise DamagedMesh(
+                "it shows a skinned or morphed mesh (<instance_controller>), which is not read here; "
+                "apply its armature and export it again"
+            )
         elif element.tag == "instance_geometry":
             if unread:
-                raise DamagedMesh(f"a mesh is placed by <{unread}>, which is not read here; apply the transforms and "
-                                  "export it again")
+                raise DamagedMesh(
+                    f"a mesh is placed by <{unread}>, which is not read here; apply the transforms and export it again"
+                )
             geometry = document.named(element, "url", "geometry")
             if id(geometry) not in document.meshes:
                 document.meshes[id(geometry)] = _geometry(document, geometry)
@@ -154,8 +167,9 @@ def _geometry(document: _Document, geometry: ElementTree.Element) -> Surface:
 def _primitive(document: _Document, element: ElementTree.Element, name: str) -> Surface:
     """Triangles of one <triangles>, <polylist>, <polygons>, <tristrips> or <trifans>."""
     if element.find("ph") is not None:
-        raise DamagedMesh(f"{name} has polygons with holes (<ph>), which are not read here; triangulate it and export "
-                          "it again")
+        raise DamagedMesh(
+            f"{name} has polygons with holes (<ph>), which are not read here; triangulate it and export it again"
+        )
     inputs = element.findall("input")
     lists = [_numbers(indices.text, "<p>").astype(np.int64) for indices in element.findall("p")]
     source = next((entry for entry in inputs if entry.get("semantic") == "VERTEX"), None)
@@ -201,9 +215,11 @@ def _positions(document: _Document, vertices: ElementTree.Element) -> np.ndarray
     count, stride = int(accessor.get("count", 0)), int(accessor.get("stride", 1))
     first = int(accessor.get("offset", 0))
     if stride < 3 or first + count * stride > len(values) or len(values) != int(array.get("count", len(values))):
-        raise DamagedMesh(f"<source id={vertices.get('id')!r}>: {count} places of {stride} numbers are wanted, and "
-                          f"{len(values)} numbers are there; export it again")
-    return values[first:first + count * stride].reshape(count, stride)[:, :3]
+        raise DamagedMesh(
+            f"<source id={vertices.get('id')!r}>: {count} places of {stride} numbers are wanted, and "
+            f"{len(values)} numbers are there; export it again"
+        )
+    return values[first : first + count * stride].reshape(count, stride)[:, :3]
 
 
 def _numbers(text: str | None, what: str) -> np.ndarray:

@@ -19,8 +19,11 @@ from august_jax.scene.mesh_files.surface import Declared
 UNITS_M = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
 """Length units of mesh files [m]."""
 
-AXES = {sign + axis: factor * np.eye(3)[column]
-        for column, axis in enumerate("xyz") for sign, factor in (("", 1.0), ("-", -1.0))}
+AXES = {
+    sign + axis: factor * np.eye(3)[column]
+    for column, axis in enumerate("xyz")
+    for sign, factor in (("", 1.0), ("-", -1.0))
+}
 """Names of axes and their directions in a file."""
 
 AUTO = "auto"
@@ -54,8 +57,10 @@ class MeshSource:
     doubt: str = ""
 
     def __str__(self) -> str:
-        return (f"unit {self.unit_m:g} m ({self.unit_from}), up {self.up} ({self.up_from}), "
-                f"forward {self.forward} ({self.forward_from}){'; ' if self.doubt else ''}{self.doubt}")
+        return (
+            f"unit {self.unit_m:g} m ({self.unit_from}), up {self.up} ({self.up_from}), "
+            f"forward {self.forward} ({self.forward_from}){'; ' if self.doubt else ''}{self.doubt}"
+        )
 
     def doubted(self, extents: Float[np.ndarray, "3"]) -> MeshSource:
         """The same, with a doubt where a craft of these extents [m] stands higher than it is wide and nobody said so.
@@ -65,8 +70,10 @@ class MeshSource:
         """
         if self.up_from == _GIVEN or extents[2] <= extents[:2].min():
             return self
-        return dataclasses.replace(self, doubt=f"it stands {extents[2]:.3g} m high and is {extents[:2].min():.3g} m "
-                                               "wide: if that is wrong, give up")
+        return dataclasses.replace(
+            self,
+            doubt=f"it stands {extents[2]:.3g} m high and is {extents[:2].min():.3g} m wide: if that is wrong, give up",
+        )
 
     def arguments(self) -> dict[str, str | float]:
         """Arguments of :func:`~august_jax.scene.load_airframe` that read the file in the same way."""
@@ -114,7 +121,8 @@ def chosen_frame(path: str, declared: Declared, unit: str | float, up: str, forw
     else:
         metres, unit_from = (1.0, _ASSUMED) if declared.unit_m is None else (declared.unit_m, unit_by)
     for argument, axis, said, by in (
-        ("up", up, declared.up, up_by), ("forward", forward, declared.forward, forward_by),
+        ("up", up, declared.up, up_by),
+        ("forward", forward, declared.forward, forward_by),
     ):
         if axis != AUTO and said is not None and axis != said:
             _warn(f"{path}: declares {argument} {said} ({by}), but is read with {argument}={axis!r}")

@@ -39,8 +39,13 @@ _HARMLESS = re.compile(
     r"|MSFT_(texture_dds|packing_\w+)|AGI_\w+|CESIUM_primitive_outline|GODOT_single_root"
 )
 """Extensions that leave every vertex and face where it is, or (quantisation) that are read."""
-_ELSEWHERE = {"KHR_draco_mesh_compression": "primitive", "EXT_meshopt_compression": "view",
-              "KHR_meshopt_compression": "view", "EXT_mesh_gpu_instancing": "node", "KHR_node_visibility": "node"}
+_ELSEWHERE = {
+    "KHR_draco_mesh_compression": "primitive",
+    "EXT_meshopt_compression": "view",
+    "KHR_meshopt_compression": "view",
+    "EXT_mesh_gpu_instancing": "node",
+    "KHR_node_visibility": "node",
+}
 """Extensions that change geometry even where they are not required, and where they stand."""
 _WAY_OUT = "export the mesh without it (such as uncompressed), or as STL or PLY"
 
@@ -80,8 +85,14 @@ def read_gltf(content: bytes, fetch: Callable[[str], bytes]) -> Surface:
         _refuse_elsewhere(nodes[index], "node")
         world[index] = parent @ _local(nodes[index])
         pending += [(child, world[index]) for child in nodes[index].get("children", [])]
-    return joined([part for index in sorted(world) if "mesh" in nodes[index]
-                   for part in reader.parts(nodes[index], world[index], world)])
+    return joined(
+        [
+            part
+            for index in sorted(world)
+            if "mesh" in nodes[index]
+            for part in reader.parts(nodes[index], world[index], world)
+        ]
+    )
 
 
 class _Reader:
@@ -154,8 +165,13 @@ class _Reader:
             raise DamagedMesh(f"accessor {index} holds no data, only an extension may; {_WAY_OUT}")
         if sparse:
             where, what = sparse["indices"], sparse["values"]
-            places = self.view(where["bufferView"], where.get("byteOffset", 0),
-                               np.dtype(_COMPONENTS[where["componentType"]]), sparse["count"], 1)[:, 0]
+            places = self.view(
+                where["bufferView"],
+                where.get("byteOffset", 0),
+                np.dtype(_COMPONENTS[where["componentType"]]),
+                sparse["count"],
+                1,
+            )[:, 0]
             if len(places) and places.max() >= count:
                 raise DamagedMesh(f"accessor {index}: its sparse part names element {places.max()} of {count}")
             values[places] = self.view(what["bufferView"], what.get("byteOffset", 0), kind, sparse["count"], width)
@@ -197,7 +213,7 @@ def _chunks(content: bytes) -> tuple[dict[str, Any], bytes]:
     """The JSON document and the binary buffer of a .glb; of a .gltf the latter is empty."""
     binary = b""
     if content[:4] == b"glTF":
-        number, length = (int.from_bytes(content[place:place + 4], "little") for place in (4, 8))
+        number, length = (int.from_bytes(content[place : place + 4], "little") for place in (4, 8))
         if number != 2:
             raise DamagedMesh(f"it is glTF {number}, and glTF 2 is read here; export it as glTF 2.0")
         if length > len(content) or len(content) < 20:
@@ -205,8 +221,8 @@ def _chunks(content: bytes) -> tuple[dict[str, Any], bytes]:
         chunks: dict[bytes, bytes] = {}
         offset = 12
         while offset + 8 <= length:
-            size = int.from_bytes(content[offset:offset + 4], "little")
-            chunks.setdefault(content[offset + 4:offset + 8], content[offset + 8:offset + 8 + size])
+            size = int.from_bytes(content[offset : offset + 4], "little")
+            chunks.setdefault(content[offset + 4 : offset + 8], content[offset + 8 : offset + 8 + size])
             offset += 8 + size
         content, binary = chunks.get(b"JSON", b""), chunks.get(b"BIN\0", b"")
     try:

@@ -12,9 +12,25 @@ from august_jax.scene.mesh_files.polygons import triangulated
 from august_jax.scene.mesh_files.surface import DamagedMesh, Surface, check_places, check_surface, strip_faces
 
 _TYPES = {
-    "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4",
-    "double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4",
-    "int64": "i8", "uint64": "u8", "float16": "f2", "float32": "f4", "float64": "f8",
+    "char": "i1",
+    "uchar": "u1",
+    "short": "i2",
+    "ushort": "u2",
+    "int": "i4",
+    "uint": "u4",
+    "float": "f4",
+    "double": "f8",
+    "int8": "i1",
+    "uint8": "u1",
+    "int16": "i2",
+    "uint16": "u2",
+    "int32": "i4",
+    "uint32": "u4",
+    "int64": "i8",
+    "uint64": "u8",
+    "float16": "f2",
+    "float32": "f4",
+    "float64": "f8",
 }
 _ORDERS = {"ascii": "<", "binary_little_endian": "<", "binary_big_endian": ">"}
 _INDICES = ("vertex_indices", "vertex_index")
@@ -111,8 +127,9 @@ class _Table:
         if not all((table[f"{label} count"] == length).all() for label, length in lists):
             return False
         self.columns |= {(name, label): table[label] for label, count, _ in properties if count is None}
-        self.lists |= {(name, label): (np.full(rows, length, np.int64), table[label].reshape(-1))
-                       for label, length in lists}
+        self.lists |= {
+            (name, label): (np.full(rows, length, np.int64), table[label].reshape(-1)) for label, length in lists
+        }
         self.offset += rows * row.itemsize
         return True
 
@@ -123,8 +140,10 @@ class _Table:
         for row in range(rows):
             lengths = self.lengths(properties)
             if lengths is None:
-                raise DamagedMesh(f"it ends in row {row + 1} of the {rows} of its element {name!r}; it was cut off, or "
-                                  "its header is wrong: export it again")
+                raise DamagedMesh(
+                    f"it ends in row {row + 1} of the {rows} of its element {name!r}; it was cut off, or "
+                    "its header is wrong: export it again"
+                )
             for (label, count, kind), length in zip(properties, lengths):
                 self.offset += count.itemsize if count is not None else 0
                 values[label].append(np.frombuffer(self.body, kind, length, self.offset))

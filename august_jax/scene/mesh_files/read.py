@@ -59,27 +59,33 @@ def read_mesh(
     except (LookupError, ValueError, TypeError, AttributeError, ArithmeticError, RecursionError, MemoryError) as error:
         # a document whose parts are not of the kinds that its format wants
         reason = f"{error} is missing" if isinstance(error, KeyError) else (str(error) or "no reason").splitlines()[0]
-        raise ValueError(f"{path}: not a readable {kind} file ({type(error).__name__}: {reason[:120]}); "
-                         "export it again") from None
+        raise ValueError(
+            f"{path}: not a readable {kind} file ({type(error).__name__}: {reason[:120]}); export it again"
+        ) from None
     if not len(surface.faces):
         raise ValueError(f"{path}: holds no faces; wanted a surface, not points or lines")
     source = chosen_frame(str(path), declared, unit, up, forward)
     with np.errstate(over="ignore"):
         extent = float(np.ptp(surface.vertices[surface.faces].reshape(-1, 3), axis=0).max()) * source.unit_m
     if extent > _LARGEST_M:
-        raise ValueError(f"{path}: is {extent:.3g} m long with unit={source.unit_m:g} m, and no more than "
-                         f"{_LARGEST_M:g} m is read; give its unit, or export it again")
+        raise ValueError(
+            f"{path}: is {extent:.3g} m long with unit={source.unit_m:g} m, and no more than "
+            f"{_LARGEST_M:g} m is read; give its unit, or export it again"
+        )
     return Surface(surface.vertices @ source.rotation().T * source.unit_m, surface.faces), source
 
 
 def _read(kind: str, content: bytes, folder: Path) -> tuple[Surface, Declared]:
     if kind in (".glb", ".gltf"):
+
         def fetch(name: str) -> bytes:
             try:
                 return (folder / name).read_bytes()
             except OSError as error:
-                raise DamagedMesh(f"its buffer {name[:80]!r} cannot be read ({error.strerror}); keep the file's parts "
-                                  "together, or export it as .glb") from None
+                raise DamagedMesh(
+                    f"its buffer {name[:80]!r} cannot be read ({error.strerror}); keep the file's parts "
+                    "together, or export it as .glb"
+                ) from None
 
         return read_gltf(content, fetch), DECLARED
     if kind == ".dae":

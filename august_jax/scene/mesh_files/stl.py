@@ -42,8 +42,10 @@ def _text(content: bytes) -> Surface:
     begun, ended = len(re.findall(r"\bfacet\s+normal\b", text)), len(re.findall(r"\bendfacet\b", text))
     rows = re.findall(r"\bvertex\s+(\S+)\s+(\S+)\s+(\S+)", text)
     if not (begun == ended and len(rows) == 3 * begun and re.search(r"\bendsolid\b", text)):
-        raise DamagedMesh(f"{begun} facets begin, {ended} end, and they have {len(rows)} corners (3 a facet and a last "
-                          "line 'endsolid' are wanted); it was cut off: export it again")
+        raise DamagedMesh(
+            f"{begun} facets begin, {ended} end, and they have {len(rows)} corners (3 a facet and a last "
+            "line 'endsolid' are wanted); it was cut off: export it again"
+        )
     try:
         corners = np.array(rows, np.float64).reshape(-1, 3)
     except ValueError as error:

@@ -68,8 +68,10 @@ def check_places(vertices: np.ndarray, part: str = "") -> Float[np.ndarray, "V 3
     wrong = int(np.sum(~np.isfinite(places).all(axis=1)))
     if wrong:
         where = f"{part}: " if part else ""
-        raise DamagedMesh(f"{where}{wrong} of {len(places)} vertices are NaN or infinite, which would leave holes; "
-                          "repair or export the mesh again")
+        raise DamagedMesh(
+            f"{where}{wrong} of {len(places)} vertices are NaN or infinite, which would leave holes; "
+            "repair or export the mesh again"
+        )
     return places
 
 

@@ -51,4 +51,3 @@ class FiniteDifference:
     def update(self, state: Past, position: Float[Array, "3"]) -> Past:
         """See :class:`Predictor`."""
         return Past(jnp.concatenate([position[None], state.positions[:2]]), state.count + 1)
-

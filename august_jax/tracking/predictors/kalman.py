@@ -79,8 +79,7 @@ class Kalman:
         ahead = Motion(motion @ state.mean, full @ state.covariance @ full.T + jnp.kron(drift, eye))
         return ahead, Prediction(ahead.mean[0], ahead.covariance[:3, :3] + self._noise(self.noise_m, dtype))
 
-    def update(self, state: Motion, position: Float[Array, "3"],
-               noise_m: ArrayLike | None = None) -> Motion:
+    def update(self, state: Motion, position: Float[Array, "3"], noise_m: ArrayLike | None = None) -> Motion:
         """See :class:`Predictor`; ``noise_m``: of this estimate, a standard deviation [m] or a covariance (3, 3)
         [m^2]."""
         noise = self._noise(self.noise_m if noise_m is None else noise_m, state.mean.dtype)
