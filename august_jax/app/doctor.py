@@ -8,7 +8,6 @@ import shutil
 import tempfile
 from collections.abc import Callable, Iterator
 from importlib.metadata import PackageNotFoundError, version
-from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple
 
@@ -63,12 +62,6 @@ def examine(out: Path) -> Iterator[Check]:
     yield _guarded("cache", _cache)
     yield _guarded("disk", lambda: _disk(out))
     yield _guarded("weights", _weights)
-    collada = find_spec("collada") is not None
-    yield Check(
-        "dae meshes",
-        True if collada else None,
-        "pycollada is here" if collada else "only with pycollada: pip install -c constraints.txt pycollada",
-    )
 
 
 def _guarded(name: str, check: Callable[[], tuple[bool | None, str]]) -> Check:
