@@ -2,6 +2,8 @@
 
 from august_jax.physics.array import AntennaArray, PlanarArray, wavenumber
 from august_jax.physics.body import Body, alike, body_channel, cache_folder, factor_bodies, factor_body, judge_contrast
+from august_jax.physics.body.table import Table, stack_tables, table_channel
+from august_jax.physics.body.tabulate import tabulate, tabulate_bodies
 from august_jax.physics.cells import Cells
 from august_jax.physics.channel import SOLVERS, sensing_channel, sensing_channels
 from august_jax.physics.green import coupling_matrix, dipole_fields, dyadic_green, path_difference
@@ -30,6 +32,7 @@ __all__ = [
     "PlanarArray",
     "Solution",
     "Spread",
+    "Table",
     "alike",
     "body_channel",
     "cache_folder",
@@ -53,6 +56,10 @@ __all__ = [
     "sensing_channels",
     "solve_dense",
     "solve_krylov",
+    "stack_tables",
+    "table_channel",
+    "tabulate",
+    "tabulate_bodies",
     "tilt_bound",
     "unknown_gain_position_bound",
     "wavenumber",
