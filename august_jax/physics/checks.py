@@ -120,6 +120,17 @@ def check_band(array, tones: Sequence[float]) -> None:
         )
 
 
+def check_pose(tones: Sequence[float], array, receiver, rotation: object, translation: object) -> None:
+    """Raise ValueError for antennas of another carrier than a body's tones, or a pose that is none."""
+    for name, value, shape in (("rotation", rotation, (3, 3)), ("translation", translation, (3,))):
+        if np.shape(value) != shape:
+            raise ValueError(f"{name}: got shape {np.shape(value)}; give {shape}, and vmap for batches")
+    check_rotation(rotation)
+    check_finite("translation", translation, "give the place of the body's origin (3,) in m")
+    check_ends(array, receiver)
+    check_band(array, tones)
+
+
 def check_cells(cells: Cells) -> Cells:
     """Cells of single or double precision.
 

@@ -57,15 +57,15 @@ def aperture_skeleton(
     with threadpool_limits(1):
         count = _SOURCES
         # The problem is symmetric under complex conjugation (a mirrored body), hence a real basis.
-        basis, _ = spanned(_sampled(elements, k, radius_m, nearest_m, count), _TOLERANCE)
+        basis, _ = spanned(sampled_fields(elements, k, radius_m, nearest_m, count), _TOLERANCE)
         while 2 * count < _A_RANK * basis.shape[1]:
             count *= 2
-            basis, _ = spanned(_sampled(elements, k, radius_m, nearest_m, count), _TOLERANCE)
+            basis, _ = spanned(sampled_fields(elements, k, radius_m, nearest_m, count), _TOLERANCE)
         chosen = pivots(basis)
         return chosen, basis @ np.linalg.inv(basis[chosen])
 
 
-def _sampled(elements, k, radius_m, nearest_m, count):
+def sampled_fields(elements, k, radius_m, nearest_m, count):
     """Real and imaginary parts (N_b, 2 count) of the elements' fields at random places, less the centre's phases.
 
     The nearest distance and the surface of the ball are the worst case; nothing beyond varies faster.

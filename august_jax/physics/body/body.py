@@ -28,12 +28,9 @@ from august_jax.arrays import Array, ArrayLike
 from august_jax.physics.array import AntennaArray, PlanarArray, wavenumber
 from august_jax.physics.body.aperture import Aperture, aperture_skeleton
 from august_jax.physics.checks import (
-    check_band,
     check_contrast,
-    check_ends,
-    check_finite,
     check_nearest,
-    check_rotation,
+    check_pose,
     coarseness,
     is_concrete,
     settled,
@@ -168,13 +165,7 @@ def body_channel(
     Warns where the body's cells are too coarse for the contrast, where the contrast lies so far outside the nodes of
     the reduction that its error shows (with the figure), and of a contrast that is zero.
     """
-    for name, value, shape in (("rotation", rotation, (3, 3)), ("translation", translation, (3,))):
-        if np.shape(value) != shape:
-            raise ValueError(f"{name}: got shape {np.shape(value)}; give {shape}, and vmap for batches")
-    check_rotation(rotation)
-    check_finite("translation", translation, "give the place of the body's origin (3,) in m")
-    check_ends(array, receiver)
-    check_band(array, body.frequencies_hz)
+    check_pose(body.frequencies_hz, array, receiver, rotation, translation)
     for end in (array, receiver):
         if end is not None and is_concrete((translation, end)):
             check_nearest(body.nearest_m, end, translation, "translation")

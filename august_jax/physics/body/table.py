@@ -38,18 +38,10 @@ from jaxtyping import Complex, Float, Int, Real
 
 from august_jax.arrays import Array, ArrayLike
 from august_jax.physics.array import AntennaArray, PlanarArray, wavenumber
-from august_jax.physics.body.aperture import _sampled
+from august_jax.physics.body.aperture import sampled_fields
 from august_jax.physics.body.patch import Patch
 from august_jax.physics.body.spans import pivots, spanned
-from august_jax.physics.checks import (
-    check_band,
-    check_contrast,
-    check_ends,
-    check_finite,
-    check_rotation,
-    is_concrete,
-    settled,
-)
+from august_jax.physics.checks import check_contrast, check_pose, is_concrete, settled
 from august_jax.physics.green import inner, path_difference
 
 _APERTURE = 1e-4  # smallest singular value kept of the fields over an aperture, relative to the largest
@@ -162,13 +154,7 @@ def table_channel(
             distances, an extent or an elevation outside the table's range. Traced numbers are not looked at: outside
             the range polynomials grow without bound.
     """
-    for name, value, shape in (("rotation", rotation, (3, 3)), ("translation", translation, (3,))):
-        if np.shape(value) != shape:
-            raise ValueError(f"{name}: got shape {np.shape(value)}; give {shape}, and vmap for batches")
-    check_rotation(rotation)
-    check_finite("translation", translation, "give the place of the body's origin (3,) in m")
-    check_ends(array, receiver)
-    check_band(array, table.frequencies_hz)
+    check_pose(table.frequencies_hz, array, receiver, rotation, translation)
     tones = len(table.frequencies_hz)
     check_contrast(contrast, ((), (tones,)), f"a scalar or ({tones},), one value a tone")
     _check_craft(table, craft)
@@ -347,7 +333,7 @@ def _end(table, array, axes, translation, frequency, functions):
 def _skeleton(array, frequency, radius_m, nearest_m):
     """Elements (n,) that determine what all others see, spherical waves taken out, and how (N_b, n)."""
     elements = array.positions - array.positions.mean(axis=0)
-    sampled = _sampled(elements, wavenumber(frequency), radius_m, max(nearest_m, 1.2 * radius_m), 512)
+    sampled = sampled_fields(elements, wavenumber(frequency), radius_m, max(nearest_m, 1.2 * radius_m), 512)
     basis, _ = spanned(sampled, _APERTURE)
     chosen = pivots(basis)
     return chosen, basis @ np.linalg.inv(basis[chosen])
