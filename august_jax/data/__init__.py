@@ -14,6 +14,7 @@ from august_jax.data.simulator import (
     nearest_distance,
     prepare_targets,
     simulated_channel,
+    tabulate_targets,
 )
 
 __all__ = [
@@ -41,5 +42,6 @@ __all__ = [
     "simulate",
     "simulated_channel",
     "split_of",
+    "tabulate_targets",
     "unpack",
 ]

@@ -21,6 +21,7 @@ from august_jax.physics import (
     Body,
     Cells,
     PlanarArray,
+    Table,
     alike,
     body_channel,
     contrast,
@@ -28,6 +29,7 @@ from august_jax.physics import (
     factor_body,
     judge_contrast,
     sensing_channel,
+    tabulate_bodies,
 )
 from august_jax.progress import Progress, silent
 from august_jax.scene.airframes import Airframe, resolve_airframe
@@ -36,6 +38,14 @@ _UNEVEN = 1.4
 """Bodies are padded to one shape, to compile once, unless the largest is this many times the mean."""
 _DENSE_POSES = 40
 """So many poses of one craft are solved densely, about a second each; for more its body is factored first."""
+_CLEAR_M = 1.0
+"""No antenna is ever nearer to a craft's centroid than this."""
+_BEYOND_M = 0.25
+"""A table holds places up to ``region.threshold_m`` and this much more outside the flight box [m]."""
+_BEYOND_DEG = 3.0
+"""It holds tilts up to this much more than ``flight.tilt_deg``."""
+_BEYOND = 0.05
+"""Relative to a range of materials, what a table holds beyond either end."""
 
 
 @dataclass(frozen=True)
@@ -62,20 +72,94 @@ class Target:
         return self.cells if self.body is None else self.body
 
 
-def nearest_distance(config: Config) -> float:
+def nearest_distance(config: Config, *, tabulated: bool = False) -> float:
     """A distance that every craft in the flight box keeps from every antenna, a tenth to spare, in steps of 0.5 m [m].
+
+    Args:
+        config: of array and box.
+        tabulated: of every place that a table holds, which go beyond the box (:func:`tabulate_targets`): bodies that
+            are to be tabulated are factored for it.
 
     Raises:
         ValueError: the flight box comes within 1 m of the array.
     """
     array = PlanarArray.from_config(config.array)
-    corner = [min(max(0.0, low), high) for low, high in config.flight.box_m]
-    gap = np.linalg.norm(corner) - np.linalg.norm(array.positions, axis=1).max()
-    if gap < 1.0:
+    extent = float(np.linalg.norm(array.positions, axis=1).max())
+    gap = _nearest_place(config.flight.box_m) - extent
+    if gap < _CLEAR_M:
         raise ValueError(
             f"flight.box_m: the box comes within {max(gap, 0.0):.2g} m of the array at the origin; keep it 1 m away"
         )
+    if tabulated:
+        gap = max(_nearest_place(_searched(config)) - extent, _CLEAR_M)
     return float(np.floor(2.0 * 0.9 * gap) / 2.0)
+
+
+def _nearest_place(box: Sequence[tuple[float, float]]) -> float:
+    """From the origin to the nearest place of a box [m]."""
+    return float(np.linalg.norm([min(max(0.0, low), high) for low, high in box]))
+
+
+def _searched(config: Config) -> list[tuple[float, float]]:
+    """The flight box and where a craft in it may be looked for."""
+    beyond = config.region.threshold_m + _BEYOND_M
+    return [(low - beyond, high + beyond) for low, high in config.flight.box_m]
+
+
+def tabulate_targets(config: Config, bodies: Sequence[Body], progress: Progress = silent) -> list[Table]:
+    """Tables of craft for all that a configuration's craft may be: where, how tilted, made of what; cached.
+
+    A search may look somewhat farther than craft fly. Tables hold places up to ``region.threshold_m`` and a quarter of
+    a metre outside ``flight.box_m`` (but 1 m from every antenna), tilts up to three degrees more than
+    ``flight.tilt_deg``, and materials a twentieth of ``target.permittivity`` and ``target.conductivity_s_m`` beyond
+    either end.
+
+    Args:
+        config: of array and ranges.
+        bodies: factored for ``config.array.frequencies_hz`` and ``nearest_distance(config, tabulated=True)``, in
+            whatever shape :func:`august_jax.physics.factor_bodies` left them: padded ones are cached apart.
+        progress: told how far it is, and each table's measured error.
+
+    Returns:
+        A table each, in order; they stack (:func:`august_jax.physics.stack_tables`).
+
+    Raises:
+        ValueError: bodies that were factored for a greater distance.
+    """
+    nearest = nearest_distance(config, tabulated=True)
+    for row, body in enumerate(bodies):
+        if body.nearest_m > nearest * (1.0 + 1e-6):
+            raise ValueError(
+                f"bodies: body {row} was factored for {body.nearest_m:g} m and beyond, a table holds places down to "
+                f"{nearest:g} m; factor it with nearest_m=nearest_distance(config, tabulated=True)"
+            )
+    array = PlanarArray.from_config(config.array)
+    extent = float(np.linalg.norm(array.positions, axis=1).max())
+    places = _searched(config)
+    near = max(_nearest_place(places), extent + _CLEAR_M)
+    far = float(np.linalg.norm([max(abs(low), abs(high)) for low, high in places]))
+    # A craft above the array has it below: the elevation is that of the place, turned over, give or take its tilt.
+    around = [_nearest_place(places[:2]), float(np.linalg.norm([max(abs(low), abs(high)) for low, high in places[:2]]))]
+    above = np.degrees([np.arctan2(height, width) for height in places[2] for width in around])
+    tilt = config.flight.tilt_deg + _BEYOND_DEG
+    elevation = (max(-above.max() - tilt, -90.0), min(-above.min() + tilt, 90.0))
+    low, high = (permittivity - 1.0 for permittivity in config.target.permittivity)
+    beyond = max(_BEYOND * (high - low), 0.01 * high, 1e-3)
+    conductivity = config.target.conductivity_s_m[1]
+    loss = (1.0 + _BEYOND) * float(np.imag(contrast_of(config, 1.0, conductivity)).max())
+    tables = tabulate_bodies(
+        bodies,
+        array,
+        distance_m=(near, far),
+        contrast=(max(low - beyond, 1e-2 * (high + beyond)), high + beyond),
+        loss=loss,
+        elevation_deg=(float(elevation[0]), float(elevation[1])),
+        progress=progress,
+    )
+    for row, table in enumerate(tables):
+        median, most = np.asarray(table.errors).max(axis=0)
+        progress(f"table {row + 1} of {len(tables)}: relative error {median:.1e} (median), {most:.1e} (95 %)")
+    return tables
 
 
 def lattice_of(airframe: Airframe, target: TargetConfig) -> tuple[Cells, float]:
