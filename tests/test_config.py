@@ -143,7 +143,7 @@ def test_choices_are_those_of_the_code():
     from august_jax.signal.beams import PILOTS
 
     assert set(get_args(configuration.Family)) == set(AIRFRAMES)
-    assert set(get_args(configuration.Solver)) == set(SOLVERS)
+    assert set(get_args(configuration.Solver)) == {*SOLVERS, "table"}
     assert set(get_args(configuration.EstimatorName)) == set(ESTIMATORS)
     assert set(get_args(configuration.Pilots)) == set(PILOTS)
 

@@ -109,9 +109,12 @@ def digest(*parts: Any) -> str:
 def data_digest(config: Config) -> str:
     """Identity of the samples that ``config`` describes; the count and the shard size are not part of it.
 
-    Region and signal are part of it where samples keep what the base station made of them.
+    Region and signal are part of it where samples keep what the base station made of them, and the threshold of the
+    prediction where tables are made for as much.
     """
-    seen = (config.region, config.signal) if config.data.observed else ()
+    seen: tuple[Any, ...] = (config.region, config.signal) if config.data.observed else ()
+    if config.data.solver == "table":
+        seen += (config.region.threshold_m,)
     return digest(
         config.array, config.target, config.flight, *seen, config.data.seed, config.data.solver, config.data.observed
     )

@@ -8,6 +8,7 @@ from august_jax.data.shards import DataError, bytes_of, read_manifest, simulate
 from august_jax.data.simulator import (
     Target,
     channels_along,
+    check_table,
     contrast_of,
     lattice_of,
     lattices_of,
@@ -30,6 +31,7 @@ __all__ = [
     "batch_of",
     "bytes_of",
     "channels_along",
+    "check_table",
     "contrast_of",
     "generate",
     "lattice_of",

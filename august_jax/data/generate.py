@@ -5,7 +5,7 @@ material come from the streams ``flight`` and ``material`` by the flight's numbe
 ``points`` and ``observation`` by the row's (:mod:`august_jax.streams`). Airframes take turns by flight; a flight keeps
 its material (paper, Section VI-A).
 
-Rows of one airframe are computed together, ``_BATCH`` at a time, through that airframe's factored body.
+Rows of one airframe are computed together, ``_BATCH`` at a time, through that airframe's table or factored body.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from august_jax import streams
 from august_jax.config import Config
 from august_jax.data.fields import Observed, Sample, pack
 from august_jax.data.observe import draw_level, draw_prediction
-from august_jax.data.simulator import Target, simulated_channel
-from august_jax.physics import Body, Cells
+from august_jax.data.simulator import Target, check_table, simulated_channel
+from august_jax.physics import Body, Cells, Table
 from august_jax.scene.airframes import sample_triangles
 from august_jax.scene.trajectory import fly_many
 from august_jax.signal.station import observe
@@ -54,7 +54,13 @@ def generate(
         targets: from :func:`~august_jax.data.simulator.prepare_targets` for the same configuration.
         seed: of all that is drawn; None takes ``data.seed``.
         domain: whose streams they come from: an evaluation's samples are never those of a data set.
+
+    Raises:
+        ValueError: targets whose tables do not hold all that this configuration's craft may be.
     """
+    for target in targets:
+        if target.table is not None:
+            check_table(config, target.table)
     rows = np.asarray(rows, np.int64)
     seed = config.data.seed if seed is None else seed
     slots, kinds = config.flight.slots, len(config.target.airframes)
@@ -96,7 +102,9 @@ def generate(
 
 
 @partial(jax.jit, static_argnames="config")
-def _compiled(keys, known, scatterer: Body | Cells, surface, cumulative, config: Config) -> dict[str, jax.Array]:
+def _compiled(
+    keys, known, scatterer: Table | Body | Cells, surface, cumulative, config: Config
+) -> dict[str, jax.Array]:
     def one(points_key, observation_key, row):
         channel = simulated_channel(
             config, scatterer, row["rotation"], row["position"], row["permittivity"], row["conductivity"]

@@ -17,6 +17,7 @@ import json
 import os
 import shutil
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,7 @@ from august_jax import streams
 from august_jax.config import Config, data_digest, to_yaml
 from august_jax.config import digest as digest_of
 from august_jax.data.generate import generate
-from august_jax.data.simulator import prepare_targets
+from august_jax.data.simulator import Target, prepare_targets
 from august_jax.files import naming, rename, write_text
 from august_jax.progress import Progress, silent
 from august_jax.scene.airframes import mesh_path
@@ -95,7 +96,8 @@ def simulate(
     _check_room(folder, config, total, progress)
     targets = prepare_targets(config, progress) if missing else []
     folder.mkdir(parents=True, exist_ok=True)
-    _write_manifest(folder, config, digest)
+    errors = _table_errors(config, targets)
+    _write_manifest(folder, config, digest, errors)
     for number in missing:
         low, high = spans[number]
         pieces = []
@@ -109,7 +111,7 @@ def simulate(
         columns = [piece.columns() for piece in pieces]
         whole = {name: np.concatenate([each[name] for each in columns]) for name in columns[0]}
         _write_shard(folder, number, whole, (low, high), digest)
-        _write_manifest(folder, config, digest)
+        _write_manifest(folder, config, digest, errors)
     manifest = read_manifest(folder)
     seconds = time.perf_counter() - began
     return manifest | {"written": written, "seconds": seconds, "samples_per_s": written / max(seconds, 1e-9)}
@@ -215,17 +217,32 @@ def _write_shard(folder: Path, number: int, columns: dict[str, np.ndarray], span
     rename(aside, final)
 
 
-def _write_manifest(folder: Path, config: Config, digest: str) -> None:
+def _write_manifest(folder: Path, config: Config, digest: str, errors: dict[str, Any]) -> None:
+    if not errors and (folder / "manifest.json").exists():  # nothing was missing
+        errors = json.loads((folder / "manifest.json").read_text()).get("table_errors", {})
     manifest = {
         "format": _FORMAT,
         "digest": digest,
         "preset": config.preset,
         "wanted": config.data.count,
         "airframes": list(config.target.airframes),
+        **({"table_errors": errors} if errors else {}),
         **_present(folder, digest),
     }
     write_text(folder / "config.yaml", to_yaml(config))
     write_text(folder / "manifest.json", json.dumps(manifest, indent=1))
+
+
+def _table_errors(config: Config, targets: Sequence[Target]) -> dict[str, Any]:
+    """Airframe -> ``median`` and ``most`` (95 %) of its table's relative error, a value a tone; none without tables."""
+    return {
+        name: {
+            kind: [float(f"{value:.3g}") for value in values]
+            for kind, values in zip(("median", "most"), np.asarray(target.table.errors).T, strict=True)
+        }
+        for name, target in zip(config.target.airframes, targets)
+        if target.table is not None
+    }
 
 
 def _present(folder: Path, digest: str) -> dict[str, Any]:

@@ -9,6 +9,7 @@ import itertools
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -29,6 +30,7 @@ from august_jax.physics import (
     factor_body,
     judge_contrast,
     sensing_channel,
+    table_channel,
     tabulate_bodies,
 )
 from august_jax.progress import Progress, silent
@@ -46,6 +48,13 @@ _BEYOND_DEG = 3.0
 """It holds tilts up to this much more than ``flight.tilt_deg``."""
 _BEYOND = 0.05
 """Relative to a range of materials, what a table holds beyond either end."""
+_FIELDS = {
+    "array": "array.nx",
+    "contrast": "target.permittivity, target.conductivity_s_m",
+    "rotation": "flight.tilt_deg",
+    "translation": "flight.box_m",
+}
+"""Argument of a table's channel -> the fields that its range comes from."""
 
 
 @dataclass(frozen=True)
@@ -58,6 +67,7 @@ class Target:
         cell_m: the edge of the lattice that was used [m].
         body: its factored response; None where the solver needs none.
         surface: triangles (T, 3, 3) [m] and cumulative areas (T,) [m^2], float32, padded to one T for the set.
+        table: its tabulated response, for the solver ``table``; else None.
     """
 
     airframe: Airframe
@@ -65,10 +75,13 @@ class Target:
     cell_m: float
     body: Body | None
     surface: tuple[np.ndarray, np.ndarray]
+    table: Table | None = None
 
     @property
-    def scatterer(self) -> Body | Cells:
-        """What :func:`simulated_channel` takes: the body, or the cells where the solver needs none."""
+    def scatterer(self) -> Table | Body | Cells:
+        """What :func:`simulated_channel` takes: the table, the body, or the cells where the solver needs neither."""
+        if self.table is not None:
+            return self.table
         return self.cells if self.body is None else self.body
 
 
@@ -83,16 +96,19 @@ def nearest_distance(config: Config, *, tabulated: bool = False) -> float:
     Raises:
         ValueError: the flight box comes within 1 m of the array.
     """
-    array = PlanarArray.from_config(config.array)
-    extent = float(np.linalg.norm(array.positions, axis=1).max())
-    gap = _nearest_place(config.flight.box_m) - extent
+    gap = _nearest_place(config.flight.box_m) - _extent(config)
     if gap < _CLEAR_M:
         raise ValueError(
             f"flight.box_m: the box comes within {max(gap, 0.0):.2g} m of the array at the origin; keep it 1 m away"
         )
     if tabulated:
-        gap = max(_nearest_place(_searched(config)) - extent, _CLEAR_M)
+        gap = max(_nearest_place(_walls(config, config.region.threshold_m + _BEYOND_M)) - _extent(config), _CLEAR_M)
     return float(np.floor(2.0 * 0.9 * gap) / 2.0)
+
+
+def _extent(config: Config) -> float:
+    """From the array's middle, the origin, to its farthest antenna [m]."""
+    return float(np.linalg.norm(PlanarArray.from_config(config.array).positions, axis=1).max())
 
 
 def _nearest_place(box: Sequence[tuple[float, float]]) -> float:
@@ -100,10 +116,42 @@ def _nearest_place(box: Sequence[tuple[float, float]]) -> float:
     return float(np.linalg.norm([min(max(0.0, low), high) for low, high in box]))
 
 
-def _searched(config: Config) -> list[tuple[float, float]]:
-    """The flight box and where a craft in it may be looked for."""
-    beyond = config.region.threshold_m + _BEYOND_M
-    return [(low - beyond, high + beyond) for low, high in config.flight.box_m]
+def _farthest_place(box: Sequence[tuple[float, float]]) -> float:
+    """From the origin to the farthest place of a box [m]."""
+    return float(np.linalg.norm([max(abs(low), abs(high)) for low, high in box]))
+
+
+def _walls(config: Config, beyond_m: float) -> list[tuple[float, float]]:
+    """The flight box, and so much more on every side [m]."""
+    return [(low - beyond_m, high + beyond_m) for low, high in config.flight.box_m]
+
+
+class _Ranges(NamedTuple):
+    """Arguments of :func:`august_jax.physics.tabulate_bodies`."""
+
+    distance_m: tuple[float, float]
+    contrast: tuple[float, float]
+    loss: float
+    elevation_deg: tuple[float, float]
+
+
+def _ranges(config: Config, beyond_m: float = 0.0, beyond_deg: float = 0.0, beyond: float = 0.0) -> _Ranges:
+    """What the craft of a configuration may be, and so much more of place, tilt and (relative) material."""
+    walls = _walls(config, beyond_m)
+    near, far = _nearest_place(walls), _farthest_place(walls)
+    # A craft above the array has it below: the elevation is that of the place, turned over, give or take its tilt.
+    across = (_nearest_place(walls[:2]), _farthest_place(walls[:2]))
+    above = np.degrees([np.arctan2(height, width) for height in walls[2] for width in across])
+    tilt = config.flight.tilt_deg + beyond_deg
+    low, high = (permittivity - 1.0 for permittivity in config.target.permittivity)
+    more = beyond * max(high - low, 0.2 * high, 0.02)
+    loss = np.imag(contrast_of(config, 1.0, config.target.conductivity_s_m[1])).max()
+    return _Ranges(
+        distance_m=(max(near, _extent(config) + _CLEAR_M), far),
+        contrast=(max(low - more, 1e-2 * high), high + more),
+        loss=(1.0 + beyond) * float(loss),
+        elevation_deg=(float(max(-above.max() - tilt, -90.0)), float(min(-above.min() + tilt, 90.0))),
+    )
 
 
 def tabulate_targets(config: Config, bodies: Sequence[Body], progress: Progress = silent) -> list[Table]:
@@ -133,33 +181,65 @@ def tabulate_targets(config: Config, bodies: Sequence[Body], progress: Progress 
                 f"bodies: body {row} was factored for {body.nearest_m:g} m and beyond, a table holds places down to "
                 f"{nearest:g} m; factor it with nearest_m=nearest_distance(config, tabulated=True)"
             )
-    array = PlanarArray.from_config(config.array)
-    extent = float(np.linalg.norm(array.positions, axis=1).max())
-    places = _searched(config)
-    near = max(_nearest_place(places), extent + _CLEAR_M)
-    far = float(np.linalg.norm([max(abs(low), abs(high)) for low, high in places]))
-    # A craft above the array has it below: the elevation is that of the place, turned over, give or take its tilt.
-    around = [_nearest_place(places[:2]), float(np.linalg.norm([max(abs(low), abs(high)) for low, high in places[:2]]))]
-    above = np.degrees([np.arctan2(height, width) for height in places[2] for width in around])
-    tilt = config.flight.tilt_deg + _BEYOND_DEG
-    elevation = (max(-above.max() - tilt, -90.0), min(-above.min() + tilt, 90.0))
-    low, high = (permittivity - 1.0 for permittivity in config.target.permittivity)
-    beyond = max(_BEYOND * (high - low), 0.01 * high, 1e-3)
-    conductivity = config.target.conductivity_s_m[1]
-    loss = (1.0 + _BEYOND) * float(np.imag(contrast_of(config, 1.0, conductivity)).max())
-    tables = tabulate_bodies(
-        bodies,
-        array,
-        distance_m=(near, far),
-        contrast=(max(low - beyond, 1e-2 * (high + beyond)), high + beyond),
-        loss=loss,
-        elevation_deg=(float(elevation[0]), float(elevation[1])),
-        progress=progress,
-    )
+    ranges = _ranges(config, config.region.threshold_m + _BEYOND_M, _BEYOND_DEG, _BEYOND)
+    tables = tabulate_bodies(bodies, PlanarArray.from_config(config.array), **ranges._asdict(), progress=progress)
     for row, table in enumerate(tables):
         median, most = np.asarray(table.errors).max(axis=0)
         progress(f"table {row + 1} of {len(tables)}: relative error {median:.1e} (median), {most:.1e} (95 %)")
     return tables
+
+
+def check_table(config: Config, table: Table) -> None:
+    """Refuse a table that does not hold all that a configuration's craft may be: compiled channels cannot.
+
+    Raises:
+        ValueError: names the field of the configuration and what the table holds.
+    """
+    wanted, slack = _ranges(config), 1e-6
+    low, high = table.distance_m
+    for path, value, good, holds in (
+        (
+            "array.tones_hz",
+            config.array.frequencies_hz,
+            table.frequencies_hz == config.array.frequencies_hz,
+            f"tones of {table.frequencies_hz} Hz",
+        ),
+        (
+            "array.nx",
+            config.array.nx,
+            _extent(config) <= table.extent_m + slack,
+            f"antennas up to {table.extent_m:.3g} m from their middle",
+        ),
+        (
+            "flight.box_m",
+            config.flight.box_m,
+            low - slack <= wanted.distance_m[0] and wanted.distance_m[1] <= high + slack,
+            f"places {low:.3g} to {high:.3g} m from the array",
+        ),
+        (
+            "target.permittivity",
+            config.target.permittivity,
+            table.contrast[0] - slack <= wanted.contrast[0] and wanted.contrast[1] <= table.contrast[1] + slack,
+            f"permittivities {1.0 + table.contrast[0]:.3g} to {1.0 + table.contrast[1]:.3g}",
+        ),
+        (
+            "target.conductivity_s_m",
+            config.target.conductivity_s_m,
+            wanted.loss <= table.loss + slack,
+            f"imaginary contrasts up to {table.loss:.3g}",
+        ),
+        (
+            "flight.tilt_deg",
+            config.flight.tilt_deg,
+            table.elevation_deg[0] - slack <= wanted.elevation_deg[0]
+            and wanted.elevation_deg[1] <= table.elevation_deg[1] + slack,
+            f"the array at elevations of {table.elevation_deg[0]:.3g} to {table.elevation_deg[1]:.3g} degrees",
+        ),
+    ):
+        if not good:
+            raise ValueError(
+                f"{path}: {value} is beyond the table, which holds {holds}; make it for this configuration"
+            )
 
 
 def lattice_of(airframe: Airframe, target: TargetConfig) -> tuple[Cells, float]:
@@ -175,22 +255,28 @@ def lattices_of(airframes: Sequence[Airframe], target: TargetConfig) -> list[tup
 
 
 def prepare_targets(config: Config, progress: Progress = silent) -> list[Target]:
-    """Airframes, lattices and, for ``mom``, factored bodies (minutes for the first time, then from the cache).
+    """Airframes, lattices and, for ``mom`` and ``table``, factored bodies; for ``table`` their tables.
+
+    Bodies and tables take minutes for the first time and then come from the cache.
 
     Warns where the cells, or the reduction of a body, are too coarse for an end of the ranges of material, with the
     figure.
     """
-    target, nearest = config.target, nearest_distance(config)
+    target, tabulated = config.target, config.data.solver == "table"
+    nearest = nearest_distance(config, tabulated=tabulated)
     airframes = [resolve_airframe(name, target.half_wheelbase_m) for name in target.airframes]
     lattices, bodies = lattices_of(airframes, target), []
+    tables: Sequence[Table | None] = [None] * len(airframes)
     for airframe, (cells, cell_m) in zip(airframes, lattices):
         progress(f"{airframe.name}: {cells.count} cells of {1e3 * cell_m:.3g} mm")
-    if config.data.solver == "mom":
+    if config.data.dense_solver == "mom":
         tones = config.array.tones_hz or config.array.frequency_hz
         bodies = factor_bodies([cells for cells, _ in lattices], tones, nearest_m=nearest)
         for body in bodies:  # channels are compiled, where contrasts are not looked at any more
             for permittivity, conductivity in itertools.product(target.permittivity, target.conductivity_s_m):
                 judge_contrast(body, np.asarray(contrast_of(config, permittivity, conductivity)))
+    if tabulated:
+        tables = tabulate_targets(config, bodies, progress)
     sizes = [np.prod(body.weights.shape) for body in bodies]
     if bodies and max(sizes) < _UNEVEN * np.mean(sizes):
         bodies = alike(bodies)
@@ -204,8 +290,8 @@ def prepare_targets(config: Config, progress: Progress = silent) -> list[Target]
     ]
     found: Sequence[Body | None] = bodies or [None] * len(airframes)
     return [
-        Target(airframe, *lattice, body, surface)
-        for airframe, lattice, body, surface in zip(airframes, lattices, found, surfaces, strict=True)
+        Target(airframe, *lattice, body, surface, table)
+        for airframe, lattice, body, surface, table in zip(airframes, lattices, found, surfaces, tables, strict=True)
     ]
 
 
@@ -217,7 +303,7 @@ def contrast_of(config: Config, permittivity: ArrayLike, conductivity: ArrayLike
 
 def simulated_channel(
     config: Config,
-    scatterer: Body | Cells,
+    scatterer: Table | Body | Cells,
     rotation: Float[Array, "3 3"],
     position: Float[Array, "3"],
     permittivity: ArrayLike,
@@ -229,18 +315,30 @@ def simulated_channel(
 
     Args:
         config: array, tones and solver.
-        scatterer: a factored body, or the cells in the body's frame.
+        scatterer: a table, a factored body, or the cells in the body's frame, which ``table`` solves as ``mom`` does.
         rotation: body to world (3, 3).
         position: surface centroid (3,) [m].
         permittivity, conductivity: of the whole craft, [1] and [S/m].
+
+    Raises:
+        ValueError: numbers, not traced ones, outside a table's range; names the configuration's field.
     """
     array, tones = PlanarArray.from_config(config.array), config.array.frequencies_hz
     chi = contrast_of(config, permittivity, conductivity)
+    if isinstance(scatterer, Table):
+        try:
+            channel = table_channel(scatterer, array, rotation, position, chi[0] if scatterer.single else chi)
+        except ValueError as error:
+            path = next((path for name, path in _FIELDS.items() if str(error).startswith(f"{name}: ")), None)
+            if path is None or "the table holds" not in str(error):
+                raise
+            raise ValueError(f"{path}: asked beyond what tables are made for: {error}") from None
+        return channel.reshape(len(tones), *channel.shape[-2:])
     if isinstance(scatterer, Body):
         channel = body_channel(scatterer, array, rotation, position, chi[0] if scatterer.single else chi)
         return channel.reshape(len(tones), *channel.shape[-2:])
     moved = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), scatterer).moved(rotation, position)
-    return sensing_channel(array, moved, chi[:, None], solver=config.data.solver, frequencies_hz=tones)
+    return sensing_channel(array, moved, chi[:, None], solver=config.data.dense_solver, frequencies_hz=tones)
 
 
 def channels_along(
@@ -256,13 +354,14 @@ def channels_along(
     Args:
         config: array, lattice, solver, and the box that bounds how near the craft comes.
         airframe: the craft. For ``mom`` and more than 40 poses its body is factored first, half a minute for 1000
-            cells, and kept in a cache; for fewer poses the dense solve of each is quicker, about a second.
+            cells, and kept in a cache; for fewer poses the dense solve of each is quicker, about a second. So for
+            ``table``, too: a table takes as long again, and pays from tens of thousands of poses.
         rotations, positions: body to world (T, 3, 3), surface centroids (T, 3) [m].
         permittivity, conductivity: the material, [1] and [S/m].
     """
     scatterer: Body | Cells
     scatterer, _ = lattice_of(airframe, config.target)
-    if config.data.solver == "mom" and len(positions) > _DENSE_POSES:
+    if config.data.dense_solver == "mom" and len(positions) > _DENSE_POSES:
         scatterer = factor_body(scatterer, config.array.frequencies_hz, nearest_m=nearest_distance(config))
 
     def one(pose: tuple[jax.Array, jax.Array]) -> jax.Array:

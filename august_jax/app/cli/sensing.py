@@ -72,7 +72,7 @@ def sensed(
         ("drone", f"{shot.airframe.name}, half-wheelbase {shot.airframe.half_wheelbase_m:.3f} m"),
         *([("mesh", f"{args.mesh}: {shot.airframe.source}")] if shot.airframe.source else []),
         ("material", f"permittivity {track.permittivity:.2f}, conductivity {1e3 * track.conductivity:.2f} mS/m"),
-        ("channel", f"full-wave ({config.data.solver}), {config.signal.estimator} estimate"),
+        ("channel", f"full-wave ({config.data.dense_solver}), {config.signal.estimator} estimate"),
         ("sampler", f"{config.evaluate.sampler}, {_sampler_steps(config)} steps, {config.target.points} points"),
         ("first predictions", f"uniform within {config.region.threshold_m:g} m along each axis, as of a detection"),
         ("seed", str(args.seed)),
