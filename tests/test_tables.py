@@ -26,37 +26,45 @@ def tables():
     target = CONFIG.target
     crafts = [resolve_airframe(name, target.half_wheelbase_m) for name in target.airframes]
     lattices = [cells for cells, _ in data.lattices_of(crafts, target)]
-    nearest = data.nearest_distance(CONFIG, tabulated=True)
+    nearest = data.nearest_distance(CONFIG)
     return data.tabulate_targets(CONFIG, factor_bodies(lattices, CONFIG.array.frequency_hz, nearest_m=nearest))
 
 
 def test_tables_hold_every_place_tilt_and_material_of_a_configuration_and_a_margin(tables):
     """A concrete request outside a table's range is refused: none of these is."""
-    beyond = CONFIG.region.threshold_m + 0.2
-    walls = [(low - beyond, high + beyond) for low, high in CONFIG.flight.box_m]
-    tilt = np.radians(CONFIG.flight.tilt_deg + 2.5)
     array = PlanarArray.from_config(CONFIG.array)
-    for place in product(*walls):
-        for yaw in (0.0, 2.0):
+    beyond = CONFIG.region.threshold_m + 0.2
+    tilt = np.radians(CONFIG.flight.tilt_deg + 2.5)
+    for place in product(*((low - beyond, high + beyond) for low, high in CONFIG.flight.box_m)):
+        place = np.asarray(place) * max(1.0, 4.7 / np.linalg.norm(place))  # but for the corner nearest to the array
+        for yaw, lean in product((0.0, 2.0), (tilt, -tilt)):
             aside = np.arctan2(place[1], place[0])  # towards the array and away from it
-            for lean in (tilt, -tilt):
-                axis = np.array([np.sin(lean) * np.cos(aside), np.sin(lean) * np.sin(aside), np.cos(lean)])
-                turn = rotation_from_axis_yaw(jnp.asarray(axis, jnp.float32), jnp.float32(yaw))
-                for permittivity, conductivity in product((1.4, 5.1), (0.0, 1.04e-2)):
-                    chi = data.contrast_of(CONFIG, permittivity, conductivity)[0]
-                    table_channel(tables[0], array, turn, jnp.asarray(place, jnp.float32), chi)
+            axis = np.array([np.sin(lean) * np.cos(aside), np.sin(lean) * np.sin(aside), np.cos(lean)])
+            turn = rotation_from_axis_yaw(jnp.asarray(axis, jnp.float32), jnp.float32(yaw))
+            for permittivity, conductivity in product((1.4, 5.1), (0.0, 1.04e-2)):
+                chi = data.contrast_of(CONFIG, permittivity, conductivity)[0]
+                table_channel(tables[0], array, turn, jnp.asarray(place, jnp.float32), chi)
 
 
 def test_tables_of_a_configuration_stack(tables):
     assert stack_tables(tables).directions.shape[0] == len(CONFIG.target.airframes)
 
 
-def test_a_body_that_was_factored_for_the_box_alone_is_refused():
+def test_a_body_that_was_factored_for_greater_distances_is_refused():
     target = CONFIG.target
     cells, _ = data.lattice_of(resolve_airframe("quad_x", target.half_wheelbase_m), target)
-    body = factor_body(cells, CONFIG.array.frequency_hz, nearest_m=data.nearest_distance(CONFIG))
-    with pytest.raises(ValueError, match=r"bodies: body 0 was factored for 4\.5 m .* nearest_m=nearest_distance"):
+    body = factor_body(cells, CONFIG.array.frequency_hz, nearest_m=5.0)
+    with pytest.raises(ValueError, match=r"bodies: body 0 was factored for 5 m .* nearest_m=nearest_distance"):
         data.tabulate_targets(CONFIG, [body])
+
+
+def test_a_box_too_near_for_a_table_is_told_by_its_field(tables):
+    near = override(CONFIG, ["array.nx=120", "flight.box_m=[[-1,1],[4.1,6],[-1,1]]"])
+    target = CONFIG.target
+    cells, _ = data.lattice_of(resolve_airframe("quad_x", target.half_wheelbase_m), target)
+    body = factor_body(cells, CONFIG.array.frequency_hz, nearest_m=data.nearest_distance(near))
+    with pytest.raises(ValueError, match=r"^flight.box_m: .* is too near for a table: .* keep them within 45"):
+        data.tabulate_targets(near, [body])
 
 
 TABLE = override(CONFIG, ["data.solver=table", "data.count=48", "data.shard_rows=24"])
@@ -160,8 +168,3 @@ def test_a_pose_that_a_table_does_not_hold_is_refused_by_the_configuration_s_fie
     turn = rotation_from_axis_yaw(jnp.asarray(axis, jnp.float32), jnp.float32(0.0))
     with pytest.raises(ValueError, match=f"^{field}.*: asked beyond what tables are made for: .*the table holds"):
         data.simulated_channel(TABLE, targets[0].table, turn, jnp.asarray(position, jnp.float32), permittivity, 5e-3)
-
-
-def test_a_box_near_the_array_has_tables_that_end_a_metre_before_it():
-    near = override(CONFIG, ["flight.box_m=[[-1,1],[1.3,3],[-1,1]]"])
-    assert (data.nearest_distance(near), data.nearest_distance(near, tabulated=True)) == (1.0, 0.5)

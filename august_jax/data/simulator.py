@@ -40,8 +40,6 @@ _UNEVEN = 1.4
 """Bodies are padded to one shape, to compile once, unless the largest is this many times the mean."""
 _DENSE_POSES = 40
 """So many poses of one craft are solved densely, about a second each; for more its body is factored first."""
-_CLEAR_M = 1.0
-"""No antenna is ever nearer to a craft's centroid than this."""
 _BEYOND_M = 0.25
 """A table holds places up to ``region.threshold_m`` and this much more outside the flight box [m]."""
 _BEYOND_DEG = 3.0
@@ -85,24 +83,17 @@ class Target:
         return self.cells if self.body is None else self.body
 
 
-def nearest_distance(config: Config, *, tabulated: bool = False) -> float:
+def nearest_distance(config: Config) -> float:
     """A distance that every craft in the flight box keeps from every antenna, a tenth to spare, in steps of 0.5 m [m].
-
-    Args:
-        config: of array and box.
-        tabulated: of every place that a table holds, which go beyond the box (:func:`tabulate_targets`): bodies that
-            are to be tabulated are factored for it.
 
     Raises:
         ValueError: the flight box comes within 1 m of the array.
     """
     gap = _nearest_place(config.flight.box_m) - _extent(config)
-    if gap < _CLEAR_M:
+    if gap < 1.0:
         raise ValueError(
             f"flight.box_m: the box comes within {max(gap, 0.0):.2g} m of the array at the origin; keep it 1 m away"
         )
-    if tabulated:
-        gap = max(_nearest_place(_walls(config, config.region.threshold_m + _BEYOND_M)) - _extent(config), _CLEAR_M)
     return float(np.floor(2.0 * 0.9 * gap) / 2.0)
 
 
@@ -147,7 +138,7 @@ def _ranges(config: Config, beyond_m: float = 0.0, beyond_deg: float = 0.0, beyo
     more = beyond * max(high - low, 0.2 * high, 0.02)
     loss = np.imag(contrast_of(config, 1.0, config.target.conductivity_s_m[1])).max()
     return _Ranges(
-        distance_m=(max(near, _extent(config) + _CLEAR_M), far),
+        distance_m=(max(near, nearest_distance(config) + _extent(config)), far),
         contrast=(max(low - more, 1e-2 * high), high + more),
         loss=(1.0 + beyond) * float(loss),
         elevation_deg=(float(max(-above.max() - tilt, -90.0)), float(min(-above.min() + tilt, 90.0))),
@@ -158,31 +149,38 @@ def tabulate_targets(config: Config, bodies: Sequence[Body], progress: Progress 
     """Tables of craft for all that a configuration's craft may be: where, how tilted, made of what; cached.
 
     A search may look somewhat farther than craft fly. Tables hold places up to ``region.threshold_m`` and a quarter of
-    a metre outside ``flight.box_m`` (but 1 m from every antenna), tilts up to three degrees more than
-    ``flight.tilt_deg``, and materials a twentieth of ``target.permittivity`` and ``target.conductivity_s_m`` beyond
-    either end.
+    a metre outside ``flight.box_m``, tilts up to three degrees more than ``flight.tilt_deg``, and materials a twentieth
+    of ``target.permittivity`` and ``target.conductivity_s_m`` beyond either end. Towards the array they end where the
+    bodies do, at :func:`nearest_distance` of an antenna, a tenth of the way: the nearer a table's nearest place, the
+    more directions it needs.
 
     Args:
         config: of array and ranges.
-        bodies: factored for ``config.array.frequencies_hz`` and ``nearest_distance(config, tabulated=True)``, in
-            whatever shape :func:`august_jax.physics.factor_bodies` left them: padded ones are cached apart.
+        bodies: factored for ``config.array.frequencies_hz`` and :func:`nearest_distance`, in whatever shape
+            :func:`august_jax.physics.factor_bodies` left them: padded ones are cached apart.
         progress: told how far it is, and each table's measured error.
 
     Returns:
         A table each, in order; they stack (:func:`august_jax.physics.stack_tables`).
 
     Raises:
-        ValueError: bodies that were factored for a greater distance.
+        ValueError: bodies that were factored for a greater distance, or a box so near that a craft sees the array
+            under too wide an angle.
     """
-    nearest = nearest_distance(config, tabulated=True)
+    nearest = nearest_distance(config)
     for row, body in enumerate(bodies):
         if body.nearest_m > nearest * (1.0 + 1e-6):
             raise ValueError(
                 f"bodies: body {row} was factored for {body.nearest_m:g} m and beyond, a table holds places down to "
-                f"{nearest:g} m; factor it with nearest_m=nearest_distance(config, tabulated=True)"
+                f"{nearest:g} m; factor it with nearest_m=nearest_distance(config)"
             )
     ranges = _ranges(config, config.region.threshold_m + _BEYOND_M, _BEYOND_DEG, _BEYOND)
-    tables = tabulate_bodies(bodies, PlanarArray.from_config(config.array), **ranges._asdict(), progress=progress)
+    try:
+        tables = tabulate_bodies(bodies, PlanarArray.from_config(config.array), **ranges._asdict(), progress=progress)
+    except ValueError as error:
+        if not str(error).startswith("distance_m: at "):
+            raise
+        raise ValueError(f"flight.box_m: {config.flight.box_m} is too near for a table: {error}") from None
     for row, table in enumerate(tables):
         median, most = np.asarray(table.errors).max(axis=0)
         progress(f"table {row + 1} of {len(tables)}: relative error {median:.1e} (median), {most:.1e} (95 %)")
@@ -262,8 +260,7 @@ def prepare_targets(config: Config, progress: Progress = silent) -> list[Target]
     Warns where the cells, or the reduction of a body, are too coarse for an end of the ranges of material, with the
     figure.
     """
-    target, tabulated = config.target, config.data.solver == "table"
-    nearest = nearest_distance(config, tabulated=tabulated)
+    target, nearest = config.target, nearest_distance(config)
     airframes = [resolve_airframe(name, target.half_wheelbase_m) for name in target.airframes]
     lattices, bodies = lattices_of(airframes, target), []
     tables: Sequence[Table | None] = [None] * len(airframes)
@@ -275,7 +272,7 @@ def prepare_targets(config: Config, progress: Progress = silent) -> list[Target]
         for body in bodies:  # channels are compiled, where contrasts are not looked at any more
             for permittivity, conductivity in itertools.product(target.permittivity, target.conductivity_s_m):
                 judge_contrast(body, np.asarray(contrast_of(config, permittivity, conductivity)))
-    if tabulated:
+    if config.data.solver == "table":
         tables = tabulate_targets(config, bodies, progress)
     sizes = [np.prod(body.weights.shape) for body in bodies]
     if bodies and max(sizes) < _UNEVEN * np.mean(sizes):
