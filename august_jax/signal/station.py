@@ -8,6 +8,7 @@ channel, :func:`observe_region` with its coefficients in the region's field subs
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -152,7 +153,7 @@ def observe(
 
 def observe_region(
     key: jax.Array,
-    channel: Complex[Array, "tones antennas antennas"],
+    channel: Complex[Array, "tones antennas antennas"] | Coefficients,
     predicted: Float[Array, "3"],
     *,
     array: ArrayConfig,
@@ -167,17 +168,25 @@ def observe_region(
     unitary pilots with S S^H = L I are undone exactly by Y S^H / sqrt(L), whose noise is white again. So only the K N_b
     numbers that matter are drawn; the rest of ||N||^2, a sum of thousands of squares, is drawn as the Gaussian that it
     is close to. The share of ||HX||^2 outside the subspace, some 1e-6, is left out of the SNR.
+
+    So its ``channel`` may come as coefficients about ``predicted``, for example of a table, which never formed H.
+
+    Raises:
+        ValueError: as :func:`observe`, or coefficients where the estimator hears the whole channel.
     """
-    _check(channel, predicted, array, snr_db, power_dbm)
     subspace = Subspace.from_config(array)
+    if isinstance(channel, Coefficients):
+        _check_coefficients(channel, signal, subspace)
+    _check(channel, predicted, array, snr_db, power_dbm)
     if signal.estimator != "lmmse_roi":
+        assert not isinstance(channel, Coefficients)
         seen = observe(
             key, channel, predicted, array=array, signal=signal, region=region, snr_db=snr_db, power_dbm=power_dbm
         )
         projected = roi.project(seen.estimated_channel, predicted, subspace)
         return RegionObservation(projected, seen.snr_db, seen.snr_estimate_db, seen.power_dbm, seen.rank)
 
-    tones, count = channel.shape[0], array.count
+    tones, count = len(array.frequencies_hz), array.count
     noise_w = beams.dbm_to_watt(signal.noise_dbm)
     symbols = signal.symbols or count
     factors = beams.codebook_factors(
@@ -193,7 +202,8 @@ def observe_region(
         drawn = beams.pilot_symbols(key_pilots, count, symbols, signal.pilots)
         power = energy(codebook(predicted, array, signal) @ drawn)
         sent = sent @ drawn * jnp.sqrt(symbols / (tones * power))
-    clean = roi.project(channel, predicted, subspace).values @ sent
+    reduced = channel if isinstance(channel, Coefficients) else roi.project(channel, predicted, subspace)
+    clean = reduced.values @ sent
     entries = tones * count * symbols
     if power_dbm is None:
         power_w = _power_for(snr_db, jnp.sum(energy(clean)), noise_w, entries)
@@ -223,14 +233,18 @@ def observe_region(
 def observe_for(
     config: Config,
     key: jax.Array,
-    channel: Complex[Array, "tones antennas antennas"],
+    channel: Complex[Array, "tones antennas antennas"] | Coefficients,
     predicted: Float[Array, "3"],
     *,
     snr_db: ArrayLike | None = None,
     power_dbm: ArrayLike | None = None,
 ) -> Observation | RegionObservation:
-    """What the networks of a configuration are told of a slot: coefficients for the encoder ``roi``, else H_est."""
-    look = observe_region if config.model.encoder == "roi" else observe
+    """What the networks of a configuration are told of a slot: coefficients for the encoder ``roi``, else H_est.
+
+    For the encoder ``roi`` and the estimator ``lmmse_roi`` the channel, too, may come as coefficients about
+    ``predicted``.
+    """
+    look: Callable[..., Observation | RegionObservation] = observe_region if config.model.encoder == "roi" else observe
     return look(
         key,
         channel,
@@ -275,11 +289,28 @@ def _power_for(
     return 10.0 ** (jnp.asarray(snr_db) / 10.0) * (noise_w / echo_energy_per_watt) * entries
 
 
+def _check_coefficients(channel: Coefficients, signal: SignalConfig, subspace: Subspace) -> None:
+    if signal.estimator != "lmmse_roi":
+        raise ValueError(
+            f"channel: got coefficients, but the estimator {signal.estimator!r} hears the whole channel; give H, or "
+            "take signal.estimator=lmmse_roi"
+        )
+    wanted = (len(subspace.frequencies_hz), subspace.orders, subspace.orders)
+    if channel.values.shape != wanted:
+        raise ValueError(
+            f"channel: got coefficients of shape {channel.values.shape}; the array's subspace has {wanted}"
+        )
+
+
 def _check(
-    channel: Array, predicted: Array, array: ArrayConfig, snr_db: ArrayLike | None, power_dbm: ArrayLike | None
+    channel: Array | Coefficients,
+    predicted: Array,
+    array: ArrayConfig,
+    snr_db: ArrayLike | None,
+    power_dbm: ArrayLike | None,
 ) -> None:
     wanted = (len(array.frequencies_hz), array.count, array.count)
-    if channel.shape != wanted:
+    if not isinstance(channel, Coefficients) and channel.shape != wanted:
         raise ValueError(
             f"channel: got shape {channel.shape}; the array has {wanted[0]} tone(s) and {wanted[1]} antennas and wants "
             f"{wanted}; map over samples with jax.vmap"
