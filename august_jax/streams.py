@@ -45,6 +45,12 @@ NAMES = (
     "sense.label",
     "sense.resampling",
     "sense.answer",  # what the baselines of a track draw
+    "stream.flight",  # by step: a track of each sample of a streamed batch
+    "stream.sample",  # by step: slot, material, label, prediction, level, pilots and noise of each
+    "validation.flight",  # as the data's, of the samples that a streamed training is validated on
+    "validation.material",
+    "validation.points",
+    "validation.observation",
 )
 """The streams. New ones go to the end: a stream's numbers depend on its place here."""
 _FIRST = 1 << 24

@@ -35,6 +35,8 @@ TimeEmbedding = Literal["paper", "log_snr"]
 """Of the diffusion step: s/S and two octaves of sin and cos, or Fourier features of the noising's log-SNR."""
 Frame = Literal["region", "craft"]
 """Where points are diffused: in the region (the paper's way), or in one craft's own axes."""
+Source = Literal["stored", "stream"]
+"""Of the training's samples: a data set, or a stream that never repeats."""
 Sampler = Literal["dpm", "ancestral"]
 """Of the reverse diffusion: DPM-Solver++(2M), or ancestral."""
 
@@ -258,6 +260,9 @@ class TrainConfig(Section):
     """Of all that is drawn."""
     reobserve: bool = False
     """True: every step draws a new prediction, SNR, pilots and noise for the stored channels."""
+    source: Source = "stored"
+    """``stored``: samples of a data set; ``stream``: samples that never repeat, made by table as training goes, which
+    needs ``train.reobserve``."""
     log_every: _Repeats = 50
     """Steps from one line of metrics to the next."""
     save_every: _Repeats = 1_000

@@ -88,6 +88,24 @@ def check_ties(config: Config) -> None:
             "train.reobserve=true",
         ),
         (
+            train.source == "stored" or train.reobserve,
+            "train.source",
+            train.source,
+            "is observed as it is made; set train.reobserve=true, or train.source=stored",
+        ),
+        (
+            train.source == "stored" or config.data.dense_solver == "mom",
+            "data.solver",
+            config.data.solver,
+            "is not what a stream's tables hold; set data.solver=mom or table, or train.source=stored",
+        ),
+        (
+            train.source == "stored" or config.model.scheme != "refchannel",
+            "train.source",
+            train.source,
+            "holds no reference channels, which model.scheme=refchannel learns from; choose august, noebd or nolatent",
+        ),
+        (
             config.model.frame == "region" or train.weight_readout > 0.0,
             "model.frame",
             config.model.frame,

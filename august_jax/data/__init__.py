@@ -17,6 +17,7 @@ from august_jax.data.simulator import (
     simulated_channel,
     tabulate_targets,
 )
+from august_jax.data.stream import StreamedBatches, open_stream
 
 __all__ = [
     "SPLITS",
@@ -25,6 +26,7 @@ __all__ = [
     "Dataset",
     "Observed",
     "Sample",
+    "StreamedBatches",
     "Target",
     "TrainingBatches",
     "as_observed",
@@ -38,6 +40,7 @@ __all__ = [
     "lattices_of",
     "nearest_distance",
     "observed_anew",
+    "open_stream",
     "pack",
     "prepare_targets",
     "read_manifest",

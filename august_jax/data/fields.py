@@ -113,6 +113,18 @@ class Batch(NamedTuple):
     coefficients: Coefficients | None = None
     reference_channel: Complex[Array, "batch tones antennas antennas"] | Coefficients | None = None
 
+    @classmethod
+    def of(
+        cls,
+        predicted: Float[Array, "batch 3"],
+        snr_db: Float[Array, " batch"],
+        cloud: Float[Array, "batch points 5"],
+        heard: Complex[Array, "batch tones antennas antennas"] | Coefficients,
+    ) -> Batch:
+        """A batch of what was heard, in whichever form that is."""
+        form = {"coefficients" if isinstance(heard, Coefficients) else "estimated_channel": heard}
+        return cls(predicted=predicted, snr_db=snr_db, cloud=cloud, **form)
+
     @property
     def heard(self) -> Array | Coefficients:
         """What the encoder takes: the coefficients, or the estimated channel where there are none.

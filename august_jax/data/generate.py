@@ -44,7 +44,7 @@ def generate(
     targets: Sequence[Target],
     *,
     seed: int | None = None,
-    domain: Literal["data", "evaluate"] = "data",
+    domain: Literal["data", "evaluate", "validation"] = "data",
 ) -> Sample:
     """The samples of the given rows, in their order, as NumPy arrays.
 
@@ -53,7 +53,8 @@ def generate(
         rows: row numbers (n,), not negative.
         targets: from :func:`~august_jax.data.simulator.prepare_targets` for the same configuration.
         seed: of all that is drawn; None takes ``data.seed``.
-        domain: whose streams they come from: an evaluation's samples are never those of a data set.
+        domain: whose streams they come from: an evaluation's samples are never those of a data set, nor those that a
+            streamed training is validated on.
 
     Raises:
         ValueError: targets whose tables do not hold all that this configuration's craft may be.

@@ -85,5 +85,4 @@ def _batch(
     cloud = to_cloud(
         samples.points, samples.position, predicted, samples.permittivity, samples.conductivity, config.region
     )
-    form = {"coefficients" if isinstance(heard, Coefficients) else "estimated_channel": heard}
-    return Batch(predicted=predicted, snr_db=snr_db, cloud=cloud, **form)
+    return Batch.of(predicted, snr_db, cloud, heard)

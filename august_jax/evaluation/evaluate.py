@@ -122,22 +122,24 @@ def _resampled(key: jax.Array, samples: Sample, airframes: Sequence[Airframe], c
 
 
 def validator(
-    dataset: Dataset, config: Config, count: int = 256
+    source: Dataset | Sample, config: Config, count: int = 256
 ) -> Callable[[nnx.GraphDef, State, int], dict[str, float]] | None:
     """A function (graphdef, state, step) -> position error on validation samples, beside that of q_pre.
 
     Args:
-        dataset: where they come from; ``count`` of them, evenly spread, are used, observed alike at every call.
+        source: a data set, or samples that are all for validation; ``count`` of them, evenly spread, are used, observed
+            alike at every call.
         config: of the training run.
         count: how many at most.
 
     Returns:
         The function, or None where the data hold no validation samples.
     """
-    places = dataset.rows("validation")
+    places = source.rows("validation") if isinstance(source, Dataset) else np.arange(source.rows)
     if not len(places):
         return None
-    samples = dataset.read(places[np.linspace(0, len(places) - 1, min(count, len(places))).astype(int)])
+    spread = places[np.linspace(0, len(places) - 1, min(count, len(places))).astype(int)]
+    samples = source.read(spread) if isinstance(source, Dataset) else source.at(spread)
     seen_key, cloud_key = jax.random.split(streams.key(config.train.seed, "train.validation"))
     batch = batch_of(seen_key, samples, config)
     position = jnp.asarray(samples.position)

@@ -54,7 +54,7 @@ CASES = {
         "simulate --preset smoke target.permittivity=[1,1] target.conductivity_s_m=[0,0]",
         ["target.permittivity", "target.conductivity_s_m", "echo is zero"],
     ),
-    "bad choice": ("simulate --preset smoke data.solver=magic", ["data.solver", "'magic'", "mom, krylov"]),
+    "bad choice": ("simulate --preset smoke data.solver=magic", ["data.solver", "'magic'", "mom, table, krylov"]),
     "bad list": ("simulate --preset smoke evaluate.snr_db=20", ["evaluate.snr_db", "[a,b]"]),
     "no such airframe": ("simulate --preset smoke target.airframes=[quadx]", ["quadx", "did you mean 'quad_x'"]),
     "typo in a list": (
@@ -69,7 +69,22 @@ CASES = {
     "no such run, as an option": ("evaluate --run {tmp}/nowhere", ["{tmp}/nowhere", "august train"]),
     "no such run for demo": ("demo --run {tmp}/nowhere", ["{tmp}/nowhere", "august train"]),
     "no such data": ("train --preset smoke --data {tmp}/nowhere", ["{tmp}/nowhere", "august simulate"]),
-    "no such data for the default": ("train", ["august_data/laptop", "august simulate --preset laptop --out"]),
+    "no such data for the default": (
+        "train",
+        ["august_data/laptop", "august simulate --preset laptop --out", "train.source=stream"],
+    ),
+    "data for a stream": (
+        "train --preset smoke --data {tmp}/here train.source=stream",
+        ["--data", "{tmp}/here", "train.source=stream", "leave --data out"],
+    ),
+    "a stream that is not observed anew": (
+        "train --preset smoke train.source=stream train.reobserve=false data.observed=true",
+        ["train.source", "stream", "train.reobserve=true"],
+    ),
+    "a stream by a solver without tables": (
+        "train --preset smoke train.source=stream data.solver=born",
+        ["data.solver", "born", "mom or table"],
+    ),
     "no such source": ("export {tmp}/nowhere --format ply", ["{tmp}/nowhere", "august demo"]),
     "unknown format": ("export {tmp} --format docx", ["--format", "'docx'", "ply, npz, mat, json"]),
 }

@@ -66,6 +66,17 @@ def test_simulate_keeps_off_other_data(capsys, home):
     assert "another configuration" in message
 
 
+def test_train_needs_no_data_for_a_stream_and_continues(capsys, tmp_path):
+    words = ("train", "--preset", "smoke", "--out", tmp_path / "run", "train.source=stream", *SMALL[4:])
+    first = call(capsys, *words)
+    assert first["metrics"]["step"] == 4 and 0.2 < first["metrics"]["validation_prediction_m"] < 0.8
+    longer = [word if word != "train.steps=4" else "train.steps=6" for word in words]
+    assert cli.main([*map(str, longer)]) == 0
+    told = capsys.readouterr()
+    assert "16 new ones in each of 6 steps" in told.err and "continuing from step 4 of 6" in told.err
+    assert call(capsys, *longer)["metrics"]["step"] == 6
+
+
 def test_train_leaves_a_run(home):
     names = {path.name for path in (home / "run").iterdir()}
     assert {"weights.npz", "config.yaml", "metrics.jsonl", "curves.png"} <= names

@@ -1,0 +1,154 @@
+"""Samples that never repeat: every step's batch is made on the device as training goes, of all craft at once.
+
+Sample i of a step is one slot of a flight of its own, of the craft whose turn it is, of a material of its own: drawn
+as :func:`august_jax.data.generate.generate` draws a data set's rows, from streams of its own by the step's number. Its
+channel comes from the craft's table (:func:`august_jax.data.simulator.tabulate_targets`); where the base station works
+in the region's subspace, its coefficients U^H H conj(U) do, and H is never formed. The echo is observed at once
+(:mod:`august_jax.data.observe`).
+
+A batch is a function of the configuration and the step alone, so that a continued run sees what it would have seen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Complex, Float, Int
+
+from august_jax import streams
+from august_jax.arrays import Array
+from august_jax.config import Config
+from august_jax.data.fields import Batch, Sample
+from august_jax.data.generate import generate
+from august_jax.data.observe import draw_level, draw_prediction
+from august_jax.data.simulator import Target, check_table, contrast_of, prepare_targets
+from august_jax.physics import PlanarArray, Table, stack_tables, table_channel
+from august_jax.progress import Progress, silent
+from august_jax.scene.airframes import sample_triangles
+from august_jax.scene.cloud import to_cloud
+from august_jax.scene.trajectory import Flight, fly_many
+from august_jax.signal.roi import Coefficients, Subspace
+from august_jax.signal.station import observe_for
+
+_TOGETHER = 128
+"""Channels of more samples at once no longer fit a processor's caches."""
+_VALIDATED = 256
+"""Samples that a streamed training is validated on."""
+
+
+class StreamedBatches:
+    """Step number -> batch for the networks; a function of the step and the configuration alone.
+
+    Args:
+        config: everything; of ``train`` the batch's size and the seed.
+        targets: with tables, from :func:`~august_jax.data.simulator.prepare_targets` with ``data.solver=table``.
+
+    Raises:
+        ValueError: targets without tables, or tables that do not hold all that this configuration's craft may be.
+    """
+
+    def __init__(self, config: Config, targets: Sequence[Target]):
+        tables = [target.table for target in targets if target.table is not None]
+        if len(tables) != len(targets) or not tables:
+            raise ValueError("targets: they have no tables; prepare them with data.solver=table")
+        check_table(config, tables[0])
+        self._config = config
+        self._tables = stack_tables(tables)
+        self._surfaces = tuple(jnp.asarray(np.stack(part)) for part in zip(*(target.surface for target in targets)))
+
+    @streams.pin  # whoever calls, from whatever thread
+    def __call__(self, step: int) -> Batch:
+        config, count = self._config, self._config.train.batch
+        flights, samples = (streams.key(config.train.seed, f"stream.{name}", step) for name in ("flight", "sample"))
+        tracks = fly_many(jax.random.split(flights, count), config.flight)
+        turn = jnp.asarray(count * step % len(config.target.airframes), jnp.int32)
+        return _streamed(samples, tracks, turn, self._tables, *self._surfaces, config)
+
+
+@streams.pin
+def open_stream(config: Config, progress: Progress = silent) -> tuple[StreamedBatches, Sample]:
+    """The batches of a streamed training, and what it is validated on: a few hundred samples, each from its own flight.
+
+    The samples for validation come from streams of their own, by ``data.solver``.
+
+    Args:
+        config: of the training.
+        progress: told how far factoring and tabulating are, which take minutes for the first time.
+    """
+    targets = prepare_targets(replace(config, data=replace(config.data, solver="table")), progress)
+    progress(f"simulating {_VALIDATED} samples for validation ({config.data.solver})")
+    numbers, slots = np.arange(_VALIDATED), config.flight.slots
+    asked = targets if config.data.solver == "table" else [replace(target, table=None) for target in targets]
+    unheard = replace(config, data=replace(config.data, observed=False))
+    rows = numbers * slots + numbers % slots
+    samples = generate(unheard, rows, asked, seed=config.train.seed, domain="validation")
+    return StreamedBatches(config, targets), samples
+
+
+@partial(jax.jit, static_argnames="config")
+def _streamed(
+    key: jax.Array,
+    tracks: Flight,
+    turn: Int[Array, ""],
+    tables: Table,
+    triangles: Float[Array, "craft triangles 3 3"],
+    areas: Float[Array, "craft triangles"],
+    config: Config,
+) -> Batch:
+    count = len(tracks.positions)
+    craft = (turn + jnp.arange(count)) % len(triangles)
+    in_subspace = config.model.encoder == "roi" and config.signal.estimator == "lmmse_roi"
+
+    def drawn(key: jax.Array, track: Flight, craft: jax.Array):
+        slot_key, material_key, points_key, predicted_key, level_key, echo_key = jax.random.split(key, 6)
+        slot = jax.random.randint(slot_key, (), 0, config.flight.slots)
+        position, rotation = track.positions[slot], track.rotations[slot]
+        spans = jnp.asarray([config.target.permittivity, config.target.conductivity_s_m], jnp.float32)
+        material = jax.random.uniform(material_key, (2,), minval=spans[:, 0], maxval=spans[:, 1])
+        points = sample_triangles(points_key, triangles[craft], areas[craft], config.target.points) @ rotation.T
+        predicted = draw_prediction(predicted_key, position, config)
+        return points, position, rotation, material, predicted, draw_level(level_key, config), echo_key
+
+    keys = jax.random.split(key, count)
+    points, position, rotation, material, predicted, level, echo_keys = jax.vmap(drawn)(keys, tracks, craft)
+
+    def channel(place):
+        craft, rotation, position, material, predicted = place
+        return _heard_of(config, tables, craft, rotation, position, material, predicted if in_subspace else None)
+
+    channels = jax.lax.map(channel, (craft, rotation, position, material, predicted), batch_size=_TOGETHER)
+
+    def seen(key: jax.Array, channel: jax.Array, predicted: jax.Array, level: dict[str, jax.Array]):
+        whole = Coefficients(channel, predicted) if in_subspace else channel
+        observed = observe_for(config, key, whole, predicted, **level)
+        return observed.snr_estimate_db, observed.heard
+
+    snr_db, heard = jax.vmap(seen)(echo_keys, channels, predicted, level)
+    cloud = to_cloud(points, position, predicted, material[:, 0], material[:, 1], config.region)
+    return Batch.of(predicted, snr_db, cloud, heard)
+
+
+def _heard_of(
+    config: Config,
+    tables: Table,
+    craft: Int[Array, ""],
+    rotation: Float[Array, "3 3"],
+    position: Float[Array, "3"],
+    material: Float[Array, "2"],
+    centre: Float[Array, "3"] | None,
+) -> Complex[jax.Array, "tones rows columns"]:
+    """A channel (F, N_b, N_b) by table, or with ``centre`` its coefficients about it (F, K, K)."""
+    array, tones = PlanarArray.from_config(config.array), len(config.array.frequencies_hz)
+    chi = contrast_of(config, material[0], material[1])
+    combine = None
+    if centre is not None:
+        combine = jnp.swapaxes(Subspace.from_config(config.array).waves(centre).conj(), -1, -2)
+    answer = table_channel(
+        tables, array, rotation, position, chi[0] if tables.single else chi, combine=combine, craft=craft
+    )
+    return answer.reshape(tones, *answer.shape[-2:])
