@@ -19,6 +19,9 @@ Parts:
     ``body_channel`` over cells, antennas and batch.
 ``set``
     channels of the paper's flights, five airframes (or of another preset's).
+``tables``
+    the same flights' channels by table, all airframes in every batch, beside the time that factoring and tabulating (or
+    reading both) takes and the tables' errors; best of batches of 128.
 
 What is compared is timed in turn and by its median; errors are relative to LU in complex128. torchgdm is no
 dependency: `pip install torchgdm==0.61` adds its columns, without it they stay empty. ``rigid`` and ``moving`` take a
@@ -42,7 +45,14 @@ import numpy as np
 from common import Figures, machine, medians, parsed, write
 
 from august_jax.config import ArrayConfig, Config, TargetConfig, preset
-from august_jax.data.simulator import contrast_of, lattice_of, lattices_of, nearest_distance, simulated_channel
+from august_jax.data.simulator import (
+    contrast_of,
+    lattice_of,
+    lattices_of,
+    nearest_distance,
+    simulated_channel,
+    tabulate_targets,
+)
 from august_jax.physics import (
     Cells,
     PlanarArray,
@@ -52,6 +62,8 @@ from august_jax.physics import (
     factor_body,
     interaction_matrix,
     sensing_channel,
+    stack_tables,
+    table_channel,
 )
 from august_jax.physics.mom import weighted_fields
 from august_jax.scene import random_rotation, resolve_airframe
@@ -345,7 +357,59 @@ def flights_set(args) -> list[dict]:
     return [{"count": args.count, "cells": sizes, "channels_s": spent, "factoring_or_cache_s": factoring}]
 
 
-PARTS = {"rigid": rigid, "moving": moving, "set": flights_set, "scaling": scaling}
+def tabulated_set(args) -> list[dict]:
+    """Channels of a preset's flights through its airframes' tables: preparing and channels, each timed."""
+    config = preset(args.preset)
+    start = time.perf_counter()
+    drones = [resolve_airframe(name, config.target.half_wheelbase_m) for name in config.target.airframes]
+    lattices = [cells for cells, _ in lattices_of(drones, config.target)]
+    bodies = factor_bodies(lattices, config.array.frequency_hz, nearest_m=nearest_distance(config))
+    factoring = time.perf_counter() - start
+    start = time.perf_counter()
+    tables = tabulate_targets(config, bodies)
+    tabulating = time.perf_counter() - start
+    start = time.perf_counter()
+    stack = stack_tables(tables)
+    array = PlanarArray.from_config(config.array)
+
+    @jax.jit
+    def channels(stack, craft, turns, places, materials):
+        def one(craft, turn, place, material):
+            chi = contrast_of(config, material[0], material[1])
+            return table_channel(stack, array, turn, place, chi[0], craft=craft)
+
+        return jax.vmap(one)(craft, turns, places, materials)
+
+    flights = -(-args.count // config.flight.slots)
+    tracks = fly_many(jax.random.split(jax.random.key(0), flights), config.flight)
+    turns, places = (part.reshape(-1, *part.shape[2:]) for part in (tracks.rotations, tracks.positions))
+    spans = np.asarray([config.target.permittivity, config.target.conductivity_s_m], np.float32)
+    materials = np.random.default_rng(0).uniform(*spans.T, (len(turns), 2)).astype(np.float32)
+    for first in range(0, args.count, args.batch):
+        rows = np.minimum(np.arange(first, first + args.batch), args.count - 1)  # one shape, one compilation
+        channels(stack, rows % len(tables), turns[rows], places[rows], materials[rows]).block_until_ready()
+    spent = time.perf_counter() - start
+    errors = np.asarray(stack.errors)[:, 0]
+    size = sum(leaf.nbytes for leaf in jax.tree.leaves(tables[0])) / 1e6
+    print(
+        f"tables  {args.count} channels of {len(tables)} airframes: {spent:.1f} s, flights and compiling counted; "
+        f"factoring or reading {factoring:.0f} s, tabulating or reading {tabulating:.1f} s; a table {size:.0f} MB, "
+        f"errors {errors[:, 0].max():.1e} (median), {errors[:, 1].max():.1e} (95 %)",
+        flush=True,
+    )
+    return [
+        {
+            "count": args.count,
+            "channels_s": spent,
+            "factoring_or_cache_s": factoring,
+            "tabulating_or_cache_s": tabulating,
+            "table_mb": size,
+            "errors": errors.tolist(),
+        }
+    ]
+
+
+PARTS = {"rigid": rigid, "moving": moving, "set": flights_set, "tables": tabulated_set, "scaling": scaling}
 
 
 def main() -> None:

@@ -49,7 +49,7 @@ def test_rigid_and_moving_agree_with_the_system_solved_in_double_precision(tmp_p
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:cells.volumes")
 def test_scaling_and_set_time_every_size(tmp_path, monkeypatch):
-    parts = ("--parts", "scaling", "set", "--sweep", "60", "120", "--preset", "smoke", "--count", "40")
+    parts = ("--parts", "scaling", "set", "tables", "--sweep", "60", "120", "--preset", "smoke", "--count", "40")
     written = figures("simulator", *parts, *SMALL, folder=tmp_path, monkeypatch=monkeypatch)
     swept = {
         name: [row["size"] for row in written["scaling"] if row["sweep"] == name] for name in ("antennas", "batch")
@@ -59,6 +59,8 @@ def test_scaling_and_set_time_every_size(tmp_path, monkeypatch):
     assert all(row["factored_s"] > 0.0 for row in written["scaling"])
     [row] = written["set"]
     assert row["count"] == 40 and len(row["cells"]) == 2 and row["channels_s"] > 0.0
+    [row] = written["tables"]
+    assert row["channels_s"] > 0.0 and all(0.0 < low < high < 0.1 for low, high in row["errors"])
 
 
 @pytest.mark.slow
@@ -67,3 +69,13 @@ def test_end_to_end_times_imports_and_samples(tmp_path, monkeypatch):
     written = figures("end_to_end", *arguments, folder=tmp_path, monkeypatch=monkeypatch)
     assert 0.0 < written["import jax"] and 0.0 < written["import august_jax"] and 0.0 < written["august --help"]
     assert written["simulate"]["written"] == 32 and written["simulate"]["samples_per_s"] > 0.0
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:cells.volumes")
+def test_training_times_a_stream_against_a_data_set(tmp_path, monkeypatch):
+    arguments = ("--preset", "smoke", "--steps", "2", "--repeats", "1")
+    written = figures("training", *arguments, folder=tmp_path, monkeypatch=monkeypatch)
+    rates = [written[name]["samples_per_s"] for name in ("stream", "stored")]
+    assert min(rates) > 0.0 and written["stream_over_stored"] == pytest.approx(rates[0] / rates[1])
+    assert min(written["batch_s"].values()) > 0.0
