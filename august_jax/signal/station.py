@@ -25,6 +25,27 @@ from august_jax.signal.noise import energy, snr_above_noise, white_noise
 from august_jax.signal.roi import Coefficients, Subspace
 
 
+class Statistics(NamedTuple):
+    """All that an echo says about a channel in the region's subspace, A = U^H H conj(U), in K^2 numbers a tone.
+
+    The noise in U^H Y is white, so that A enters Y through U^H Y = A B + N alone, B = U^T X. With B = C Q^H, C lower
+    triangular and Q of orthonormal columns,
+
+        Z = U^H Y Q = A C + N',
+
+    whose noise is white again; what is left of U^H Y is noise. Both are in units of the noise, E|N'|^2 = 1 an entry.
+
+    Attributes:
+        received: Z of each tone (F, K, K) complex64.
+        pilots: C of each tone (F, K, K) complex64 [m]; A is in [1/m].
+        centre: the point (3,) [m] about which A is taken.
+    """
+
+    received: Complex[Array, "*batch tones orders orders"]
+    pilots: Complex[Array, "*batch tones orders orders"]
+    centre: Float[Array, "*batch 3"]
+
+
 class Observation(NamedTuple):
     """What the base station knows after one slot.
 
@@ -34,6 +55,7 @@ class Observation(NamedTuple):
         snr_estimate_db: what the receiver makes of it from ||Y||^2 and sigma^2 (`august_jax.signal.estimate_snr`).
         power_dbm: transmit power P_s over all tones [dBm].
         rank: directions of the pilots that the estimate uses, of each tone (F,).
+        statistics: what the echo says, of which the estimate is one reading.
     """
 
     estimated_channel: Complex[Array, "*batch tones antennas antennas"]
@@ -41,6 +63,7 @@ class Observation(NamedTuple):
     snr_estimate_db: Float[Array, "*batch"]
     power_dbm: Float[Array, "*batch"]
     rank: Int[Array, "*batch tones"]
+    statistics: Statistics
 
     @property
     def heard(self) -> Array:
@@ -56,6 +79,7 @@ class RegionObservation(NamedTuple):
     snr_estimate_db: Float[Array, "*batch"]
     power_dbm: Float[Array, "*batch"]
     rank: Int[Array, "*batch tones"]
+    statistics: Statistics
 
     @property
     def heard(self) -> Coefficients:
@@ -117,7 +141,7 @@ def observe(
             key, channel, predicted, array=array, signal=signal, region=region, snr_db=snr_db, power_dbm=power_dbm
         )
         lifted = roi.lift(seen.coefficients, Subspace.from_config(array))
-        return Observation(lifted, seen.snr_db, seen.snr_estimate_db, seen.power_dbm, seen.rank)
+        return Observation(lifted, *seen[1:])
 
     noise_w = beams.dbm_to_watt(signal.noise_dbm)
     symbols = signal.symbols or array.count
@@ -148,7 +172,11 @@ def observe(
     estimates = jax.vmap(estimated)(received, subspace.wavenumbers)
     snr = jnp.sum(energy(clean)) / jnp.sum(energy(noise))
     known = snr_above_noise(jnp.sum(energy(received)), received.size)
-    return Observation(estimates.channel, _decibels(snr), _decibels(known), beams.watt_to_dbm(power_w), estimates.rank)
+    waves = subspace.waves(predicted)
+    statistics = _statistics(jnp.swapaxes(waves.conj(), -1, -2) @ received, jnp.swapaxes(waves, -1, -2) @ sent, predicted)
+    return Observation(
+        estimates.channel, _decibels(snr), _decibels(known), beams.watt_to_dbm(power_w), estimates.rank, statistics
+    )
 
 
 def observe_region(
@@ -184,7 +212,7 @@ def observe_region(
             key, channel, predicted, array=array, signal=signal, region=region, snr_db=snr_db, power_dbm=power_dbm
         )
         projected = roi.project(seen.estimated_channel, predicted, subspace)
-        return RegionObservation(projected, seen.snr_db, seen.snr_estimate_db, seen.power_dbm, seen.rank)
+        return RegionObservation(projected, *seen[1:])
 
     tones, count = len(array.frequencies_hz), array.count
     noise_w = beams.dbm_to_watt(signal.noise_dbm)
@@ -226,7 +254,12 @@ def observe_region(
     known = snr_above_noise(jnp.sum(energy(received)) + rest_energy, entries)
     rank = jnp.full(tones, count, jnp.int32)
     return RegionObservation(
-        Coefficients(values, predicted), _decibels(snr), _decibels(known), beams.watt_to_dbm(power_w), rank
+        Coefficients(values, predicted),
+        _decibels(snr),
+        _decibels(known),
+        beams.watt_to_dbm(power_w),
+        rank,
+        _statistics(received, amplitude * sent, predicted),
     )
 
 
@@ -271,6 +304,12 @@ def _reduced_beams(waves: jax.Array, planar: PlanarArray, factors: tuple[jax.Arr
     along_x, along_z = factors
     columns = jnp.einsum("abk,bj->kaj", waves.reshape(planar.nx, planar.nz, -1), along_z)
     return jnp.einsum("kaj,aij->kij", columns, along_x).reshape(-1, planar.count)
+
+
+def _statistics(received: jax.Array, sent: jax.Array, centre: Array) -> Statistics:
+    """Of U^H Y and U^T X (F, K, L) in units of the noise."""
+    unitary, triangle = jnp.linalg.qr(jnp.swapaxes(sent.conj(), -1, -2))
+    return Statistics(received @ unitary, jnp.swapaxes(triangle.conj(), -1, -2), centre)
 
 
 def _radians(signal: SignalConfig) -> tuple[float, float]:
