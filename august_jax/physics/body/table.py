@@ -254,17 +254,17 @@ def _table_channel(table, array, receiver, rotation, translation, contrast, comb
     places = [jnp.asarray(end.positions, jnp.float32) for end in ends]
     middle = jnp.mean(jnp.concatenate(places), axis=0) - translation
     which = () if craft is None else (craft,)
-    nearest = _nearest(table.directions[which], jax.lax.stop_gradient(middle @ rotation))
-    axes = table.axes[*which, nearest] @ rotation.T
+    direction = nearest(table.directions[which], jax.lax.stop_gradient(middle @ rotation))
+    axes = table.axes[*which, direction] @ rotation.T
     contrasts = jnp.broadcast_to(contrast, (len(table.frequencies_hz),)).astype(jnp.complex64)
     channels = []
     for tone, frequency in enumerate(table.frequencies_hz):
         weights = interpolation(table.nodes, contrasts[tone])
-        nodes = table.responses[*which, tone, nearest]
+        nodes = table.responses[*which, tone, direction]
         parts = jnp.stack([weights.real, weights.imag]) @ nodes.reshape(len(table.nodes), -1)
         real, imag = (part.reshape(nodes.shape[1:]) for part in parts)
         response = jax.lax.complex(real[0] - imag[1], real[1] + imag[0])
-        functions = table.functions[*which, tone, nearest]
+        functions = table.functions[*which, tone, direction]
         seen = [_end(table, end, axes, translation, frequency, functions) for end in ends]
         heard, sent = seen[0], seen[-1]
         core = _sandwich(heard.fields, response, sent.fields)
@@ -276,7 +276,7 @@ def _table_channel(table, array, receiver, rotation, translation, contrast, comb
     return channels[0] if table.single else jnp.stack(channels)
 
 
-def _nearest(directions, towards):
+def nearest(directions, towards):
     """Which of the directions is nearest: argmax, in two plain reductions that are three times as fast on a CPU."""
     cosines = inner(directions, towards)
     return jnp.min(jnp.where(cosines >= jnp.max(cosines), jnp.arange(len(directions)), len(directions) - 1))
@@ -319,7 +319,7 @@ def _end(table, array, axes, translation, frequency, functions):
     nearer = path_difference(elements, base)
     distances = far + nearer
     if isinstance(array, PlanarArray):
-        chosen, spread = _skeleton(array, frequency, table.radius_m, table.reach_m[0])
+        chosen, spread = aperture_of(array, frequency, table.radius_m, table.reach_m[0])
         spread = jnp.asarray(spread, jnp.float32)
     else:
         chosen, spread = slice(None), None
@@ -330,7 +330,7 @@ def _end(table, array, axes, translation, frequency, functions):
 
 
 @lru_cache(maxsize=64)
-def _skeleton(array, frequency, radius_m, nearest_m):
+def aperture_of(array, frequency, radius_m, nearest_m):
     """Elements (n,) that determine what all others see, spherical waves taken out, and how (N_b, n)."""
     elements = array.positions - array.positions.mean(axis=0)
     sampled = sampled_fields(elements, wavenumber(frequency), radius_m, max(nearest_m, 1.2 * radius_m), 512)
