@@ -51,6 +51,8 @@ NAMES = (
     "validation.material",
     "validation.points",
     "validation.observation",
+    "inference.tilt",  # by flight: those that the prior of the attitude is counted from
+    "inference.samples",  # by slot: what a posterior is drawn with
 )
 """The streams. New ones go to the end: a stream's numbers depend on its place here."""
 _FIRST = 1 << 24

@@ -9,7 +9,8 @@ A displacement turns phases, by k times the components of the unit vectors n_i f
 
     dA = j (D_i A + A D_i) + dX M X^T + X M dX^T,    D_i = k P^T diag(n_i - their mean) P,
 
-and so does a turn without the first part; the means, phases common to all, are left to the gain. Written out, the
+the means, phases common to all, being left to the gain. What the craft sees of the array then turns by the
+displacement over the distance, as it does in a turn: dX of a displacement is taken from that of a turn. Written out, the
 six derivatives cost as much as one more channel, where those of the whole by automatic differentiation cost ten.
 """
 
@@ -84,16 +85,14 @@ def local_coefficients(
         elements = jnp.asarray(array.positions[chosen], jnp.float32)
         moments = jnp.asarray(array.moments[chosen], jnp.float32)
 
-        def seen(pose, elements=elements, moments=moments):
+        def seen(turn, elements=elements, moments=moments):
             # the elements and their moments in the patch's axes; a turn of the body turns them the other way
-            turn, offset = pose[3:], pose[:3]
-            shifted = elements - position - offset
+            shifted = elements - position
 
             def turned(vectors):
                 return (vectors - jnp.cross(turn, vectors)) @ (axes @ rotation.T).T
 
-            length = jnp.sqrt(inner(shifted, shifted))
-            return table.patch.functions(turned(shifted), length, turned(moments))
+            return table.patch.functions(turned(shifted), jnp.sqrt(inner(shifted, shifted)), turned(moments))
 
         chi = contrast(permittivity, conductivity, frequency).astype(jnp.complex64)
         nodes = table.responses[craft, tone, which]
@@ -104,26 +103,29 @@ def local_coefficients(
             mixed = mixed.reshape(4, 2, size, size)
             response = (mixed[0, 0] - mixed[1, 1], mixed[0, 1] + mixed[1, 0])
             sloped = (mixed[2, 0] - mixed[3, 1], mixed[2, 1] + mixed[3, 0])
-            phi, linear = jax.linearize(seen, jnp.zeros(6, jnp.float32))
-            every = jnp.concatenate([phi[None], jax.vmap(linear)(jnp.eye(6, dtype=jnp.float32))])
-            fields = (every.reshape(-1, every.shape[-1]) @ functions).reshape(7, len(chosen), size)
-            fields = jnp.einsum("kn,anr->akr", narrowed, fields).reshape(7 * len(narrowed), size)
+            phi, linear = jax.linearize(seen, jnp.zeros(3, jnp.float32))
+            every = jnp.concatenate([phi[None], jax.vmap(linear)(jnp.eye(3, dtype=jnp.float32))])
+            fields = (every.reshape(-1, every.shape[-1]) @ functions).reshape(4, len(chosen), size)
+            fields = jnp.einsum("kn,anr->akr", narrowed, fields).reshape(4 * len(narrowed), size)
             own = fields[: len(narrowed)]
             through = own @ jnp.concatenate([*response, *sloped], axis=1)  # K, 4R
             real, imag, slope_real, slope_imag = jnp.split(through, 4, axis=1)
-            sides = fields @ jnp.concatenate([real, imag]).T  # 7K, 2K
+            sides = fields @ jnp.concatenate([real, imag]).T  # 4K, 2K
             k = len(narrowed)
-            sides = jax.lax.complex(sides[:, :k], sides[:, k:]).reshape(7, k, k)
+            sides = jax.lax.complex(sides[:, :k], sides[:, k:]).reshape(4, k, k)
             value = sides[0]
-            poses = sides[1:] + jnp.swapaxes(sides[1:], 1, 2)
+            turns = sides[1:] + jnp.swapaxes(sides[1:], 1, 2)
             unit = away / distances[:, None]
-            # of 1/r: the body's waves weaken with distance, for all alike but for a part in a thousand
             steer = wavenumber(frequency) * jnp.einsum(
                 "nk,ni,nl->ikl", jnp.asarray(basis), unit - jnp.mean(unit, axis=0), jnp.asarray(basis)
             )
             phase = steer.reshape(3 * k, k) @ jnp.concatenate([value.real, value.imag], axis=1)
             phase = jax.lax.complex(-phase[:, k:], phase[:, :k]).reshape(3, k, k)
-            poses = poses.at[:3].add(phase + jnp.swapaxes(phase, 1, 2) - 2.0 / distances.mean() * jnp.mean(unit, 0)[:, None, None] * value)
+            # the craft's view of the array turns as well, about toward x displacement
+            sight = jnp.cross(toward, jnp.eye(3, dtype=jnp.float32)) / inner(toward, toward)
+            weaker = 2.0 * toward / inner(toward, toward)
+            shifts = phase + jnp.swapaxes(phase, 1, 2) + jnp.tensordot(sight, turns, 1) + weaker[:, None, None] * value
+            poses = jnp.concatenate([shifts, turns])
             material = jax.lax.complex(slope_real @ own.T, slope_imag @ own.T)
             gains = jax.jvp(lambda s: contrast(permittivity, s, frequency).astype(jnp.complex64), (conductivity,), (jnp.ones_like(conductivity),))[1]
             slopes.append(jnp.concatenate([poses, material[None], gains * material[None]]))
@@ -131,7 +133,7 @@ def local_coefficients(
             weights = interpolation(table.nodes, chi)
             mixed = (jnp.stack([weights.real, weights.imag]) @ nodes.reshape(len(nodes), -1)).reshape(2, 2, size, size)
             response = (mixed[0, 0] - mixed[1, 1], mixed[0, 1] + mixed[1, 0])
-            own = narrowed @ (seen(jnp.zeros(6, jnp.float32)) @ functions)
+            own = narrowed @ (seen(jnp.zeros(3, jnp.float32)) @ functions)
             real, imag = (own @ part for part in response)
             value = jax.lax.complex(real @ own.T, imag @ own.T)
         values.append(value)

@@ -1,0 +1,112 @@
+"""What is known before an echo: where the craft may be, how it may be turned, what it may be made of, and the gain.
+
+The posterior's prior is uniform over the cube of the prediction, headings and materials; thrust axes have the density
+that a configuration's flights have, by tilt. A search moves in eight numbers and a complex gain; for it the same is a
+Gaussian with the prior's spreads, about the middle of what is uniform, which bounds steps where the echo says nothing.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from august_jax import streams
+from august_jax.arrays import Array
+from august_jax.config import Config
+from august_jax.scene.pose import tilt
+from august_jax.scene.trajectory import fly_many
+
+TILT_BINS = 64
+"""Of equal width in the cosine, from level to the largest tilt."""
+_FLIGHTS = 512
+GAIN_DB = 1.0
+"""Standard deviation to which the level of the gain is calibrated [dB], where nothing else is said."""
+
+
+class Prior(NamedTuple):
+    """A prior over a craft's pose, material and gain; a pytree.
+
+    Attributes:
+        half_m: half the edge of the cube about q_pre in which the position is uniform [m].
+        tilt_density: density of thrust axes per steradian, in bins of equal width in cos(tilt) (TILT_BINS,), the most
+            level first; adds up to one over the sphere.
+        tilt_rad: largest tilt [rad].
+        permittivity, conductivity: ends of the uniform ranges (2,), [1] and [S/m].
+        log_gain: standard deviation of the logarithm of the gain's modulus.
+        phase_rad: standard deviation of the gain's phase [rad]; large where it is not known.
+    """
+
+    half_m: Float[Array, ""]
+    tilt_density: Float[Array, " bins"]
+    tilt_rad: Float[Array, ""]
+    permittivity: Float[Array, "2"]
+    conductivity: Float[Array, "2"]
+    log_gain: Float[Array, ""]
+    phase_rad: Float[Array, ""]
+
+    @classmethod
+    def from_config(cls, config: Config, *, gain_db: float = GAIN_DB, phase_deg: float | None = None) -> Prior:
+        """The prior of a configuration's slots.
+
+        Args:
+            config: region, flights and materials.
+            gain_db: standard deviation to which the level of the gain is known [dB].
+            phase_deg: of its phase [deg]; None where nothing is known of it.
+
+        Raises:
+            ValueError: a level that is not positive.
+        """
+        if not gain_db > 0.0:
+            raise ValueError(f"gain_db: {gain_db:g} dB leaves no room; give a positive standard deviation, such as 1")
+        flights = fly_many(streams.members(streams.key(0, "inference.tilt"), np.arange(_FLIGHTS)), config.flight)
+        cosines = np.cos(np.asarray(tilt(flights.rotations), np.float64)).ravel()
+        largest = float(np.radians(config.flight.tilt_deg))
+        lowest = np.cos(largest)
+        edges = np.linspace(1.0, lowest, TILT_BINS + 1)
+        counts = np.histogram(np.clip(cosines, lowest, 1.0), edges[::-1])[0][::-1] + 0.5
+        density = counts / counts.sum() / (2.0 * np.pi * (1.0 - lowest) / TILT_BINS)
+        numbers = (
+            max(config.region.threshold_m, 1e-3),
+            density,
+            largest,
+            config.target.permittivity,
+            config.target.conductivity_s_m,
+            gain_db * np.log(10.0) / 20.0,
+            1e3 if phase_deg is None else np.radians(phase_deg),
+        )
+        return cls(*(jnp.asarray(number, jnp.float32) for number in numbers))
+
+    def log_tilt(self, rotation: Float[Array, "*n 3 3"]) -> Float[jax.Array, "*n"]:
+        """Log density of thrust axes per steradian; linear between the bins' middles, minus infinity beyond the tilt."""
+        bins = self.tilt_density.shape[0]
+        lowest = jnp.cos(self.tilt_rad)
+        place = (1.0 - rotation[..., 2, 2]) / (1.0 - lowest) * bins - 0.5
+        inside = rotation[..., 2, 2] >= lowest - 1e-6
+        values = jnp.interp(place, jnp.arange(bins), jnp.log(self.tilt_density))
+        return jnp.where(inside, values, -jnp.inf)
+
+    def middle(self) -> tuple[jax.Array, jax.Array]:
+        """Middle of the ranges of permittivity and of conductivity [S/m]."""
+        return jnp.mean(self.permittivity), jnp.mean(self.conductivity)
+
+    def spreads(self) -> Float[jax.Array, "10"]:
+        """Standard deviations of theta (:data:`august_jax.physics.parameters.PARAMETERS`) for a search's Gaussian; a
+        turn's is that of nothing known."""
+
+        def uniform(ends):
+            return jnp.maximum((ends[1] - ends[0]) / np.sqrt(12.0), 1e-6)
+
+        return jnp.stack(
+            [
+                *[self.half_m / np.sqrt(3.0)] * 3,
+                *[jnp.float32(1e2)] * 3,
+                uniform(self.permittivity),
+                uniform(self.conductivity),
+                self.log_gain,
+                self.phase_rad,
+            ]
+        )

@@ -1,0 +1,222 @@
+"""From candidates to explanations: Levenberg-Marquardt in pose, material and gain, many at a time, fewer and fewer.
+
+theta are the ten numbers of :mod:`august_jax.physics.parameters`. With Z = A C + N of unit noise and a Gaussian prior of
+standard deviations s about theta_0,
+
+    minimise  ||Z - e^{log-gain + j phase} A(theta) C||^2 / tau + sum ((theta - theta_0) / s)^2 / 2,
+
+whose first term is minus the log likelihood; tau is a temperature, by which the noise is taken for greater than it is.
+Every step asks for A and its derivatives about the craft's own place (:mod:`august_jax.physics.body.local`), which is
+taken where it is no worse than what it came from; else the next is shorter.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Complex, Float, Int
+
+from august_jax.arrays import Array
+from august_jax.inference.prior import Prior
+from august_jax.physics.body.local import local_coefficients
+from august_jax.physics.body.table import Table
+from august_jax.physics.parameters import rotation_from_vector
+from august_jax.signal.roi import Subspace
+from august_jax.signal.station import Statistics
+
+_SCALES = np.array([0.1, 0.1, 0.1, 0.05, 0.05, 0.05, 0.5, 2e-3, 0.1, 0.3], np.float32)
+"""Of theta, so that the normal equations are of one size."""
+_FIRST, _EASIER, _HARDER = 1e-2, 0.2, 8.0
+_TOGETHER = 64
+
+
+class Candidates(NamedTuple):
+    """n explanations; a pytree.
+
+    Attributes:
+        craft: which of the library's (n,).
+        rotation: body to world (n, 3, 3).
+        position: (n, 3) [m].
+        permittivity, conductivity: (n,), [1] and [S/m].
+        log_gain, phase: of the complex gain about the place (n,), [1] and [rad].
+        residual: ||Z - model||^2 (n,).
+        information: Hessian of the residual in theta (n, 10, 10), Gauss-Newton's.
+        slope: minus the residual's gradient in theta (n, 10).
+        damping: of the next step (n,).
+    """
+
+    craft: Int[Array, " n"]
+    rotation: Float[Array, "n 3 3"]
+    position: Float[Array, "n 3"]
+    permittivity: Float[Array, " n"]
+    conductivity: Float[Array, " n"]
+    log_gain: Float[Array, " n"]
+    phase: Float[Array, " n"]
+    residual: Float[Array, " n"]
+    information: Float[Array, "n 10 10"]
+    slope: Float[Array, "n 10"]
+    damping: Float[Array, " n"]
+
+    def at(self, rows: Int[Array, " m"]) -> Candidates:
+        """Those at ``rows``."""
+        return jax.tree.map(lambda leaf: leaf[rows], self)
+
+
+def begin(
+    table: Table,
+    subspace: Subspace,
+    statistics: Statistics,
+    craft: Int[Array, " n"],
+    rotation: Float[Array, "n 3 3"],
+    position: Float[Array, "n 3"],
+    permittivity: Float[Array, " n"],
+    conductivity: Float[Array, " n"],
+) -> Candidates:
+    """Candidates of given poses and materials, with the phase of the gain that suits them and its level as known."""
+    return _begun(table, subspace, statistics, craft, rotation, position, permittivity, conductivity)
+
+
+@partial(jax.jit, static_argnames=("subspace", "steps"))
+def improved(
+    table: Table,
+    subspace: Subspace,
+    statistics: Statistics,
+    prior: Prior,
+    candidates: Candidates,
+    temperature: float | Float[Array, ""] = 1.0,
+    *,
+    steps: int = 1,
+) -> Candidates:
+    """Candidates after ``steps`` steps each."""
+
+    def one(each):
+        for _ in range(steps) if steps == 1 else ():
+            each = _step(table, subspace, statistics, prior, each, temperature)
+        if steps > 1:
+            each = jax.lax.fori_loop(
+                0, steps, lambda _, now: _step(table, subspace, statistics, prior, now, temperature), each
+            )
+        return each
+
+    return jax.lax.map(one, candidates, batch_size=_TOGETHER)
+
+
+@partial(jax.jit, static_argnames="subspace")
+def _begun(table, subspace, statistics, craft, rotation, position, permittivity, conductivity):
+    def one(each):
+        craft, rotation, position, permittivity, conductivity = each
+        zero = jnp.float32(0.0)
+        return _judged(
+            table,
+            subspace,
+            statistics,
+            (craft, rotation, position, permittivity, conductivity, zero, None),
+            jnp.float32(_FIRST),
+        )
+
+    poses = (craft, rotation, position, permittivity, conductivity)
+    poses = tuple(jnp.asarray(part, jnp.int32 if row == 0 else jnp.float32) for row, part in enumerate(poses))
+    return jax.lax.map(one, poses, batch_size=_TOGETHER)
+
+
+def _moved(statistics, place, subspace):
+    own, other = subspace.waves(statistics.centre), subspace.waves(place)
+    change = jnp.swapaxes(own.conj(), -1, -2) @ other
+    turned = jnp.swapaxes(change, -1, -2)
+    return turned.conj() @ statistics.received, turned @ statistics.pilots
+
+
+def _judged(table, subspace, statistics, pose, damping):
+    """A candidate with its residual, slope and information; a phase of None takes the best."""
+    craft, rotation, position, permittivity, conductivity, log_gain, phase = pose
+    found = local_coefficients(
+        table, subspace.array, subspace.basis, craft, rotation, position, permittivity, conductivity
+    )
+    received, pilots = _moved(statistics, position, subspace)
+    heard = found.values @ pilots
+    overlap = jnp.sum(heard.conj() * received)
+    phase = jnp.angle(overlap) if phase is None else phase
+    gain = jnp.exp(log_gain) * jax.lax.complex(jnp.cos(phase), jnp.sin(phase))
+    model = gain * heard
+    slopes = gain * (found.derivatives @ pilots)
+    slopes = jnp.concatenate([slopes, model[None], 1j * model[None]]).reshape(10, -1)
+    left = (received - model).reshape(-1)
+    # what U' leaves out of the received: noise and what the craft does not explain, as much as it is
+    outside = jnp.sum(jnp.abs(statistics.received) ** 2) - jnp.sum(jnp.abs(received) ** 2)
+    residual = jnp.sum(jnp.abs(left) ** 2) + outside
+    both = jnp.concatenate([slopes.real, slopes.imag], axis=1)
+    against = jnp.concatenate([left.real, left.imag])
+    return Candidates(
+        craft, rotation, position, permittivity, conductivity, log_gain, phase,
+        residual, 2.0 * both @ both.T, 2.0 * both @ against, damping,
+    )  # fmt: skip
+
+
+def departure(candidates: Candidates, statistics: Statistics, prior: Prior) -> Float[jax.Array, "*n 10"]:
+    """theta - theta_0 (..., 10): how far candidates are from the middle of the prior; turns and phases count as none."""
+    middle, loss = prior.middle()
+    zero = jnp.zeros_like(candidates.log_gain)
+    rest = (candidates.permittivity - middle, candidates.conductivity - loss, candidates.log_gain, zero)
+    return jnp.concatenate(
+        [candidates.position - statistics.centre, jnp.zeros_like(candidates.position), jnp.stack(rest, axis=-1)], axis=-1
+    )
+
+
+def cost(
+    candidates: Candidates, statistics: Statistics, prior: Prior, temperature: float | Float[Array, ""] = 1.0
+) -> Float[jax.Array, "*n"]:
+    """What is minimised (...,)."""
+    apart = departure(candidates, statistics, prior) / prior.spreads()
+    return candidates.residual / temperature + 0.5 * jnp.sum(apart**2, axis=-1)
+
+
+def _step(table, subspace, statistics, prior, now, temperature):
+    scales = jnp.asarray(_SCALES)
+    precision = 1.0 / prior.spreads() ** 2
+    slope = now.slope / temperature - precision * departure(now, statistics, prior)
+    system = (now.information / temperature + jnp.diag(precision)) * scales * scales[:, None]
+    system = system + now.damping * jnp.diag(jnp.diagonal(system))
+    step = scales * _solved(system, scales * slope)
+    length = jnp.sqrt(jnp.sum(step[3:6] ** 2))
+    step = step * jnp.minimum(1.0, 0.2 / jnp.maximum(length, 1e-9))  # a model that is linear for 10 degrees at most
+    tried = _judged(
+        table,
+        subspace,
+        statistics,
+        (
+            now.craft,
+            rotation_from_vector(step[3:6]) @ now.rotation,
+            jnp.clip(now.position + step[:3], statistics.centre - prior.half_m - 0.2, statistics.centre + prior.half_m + 0.2),
+            jnp.clip(now.permittivity + step[6], prior.permittivity[0], prior.permittivity[1]),
+            jnp.clip(now.conductivity + step[7], prior.conductivity[0], prior.conductivity[1]),
+            now.log_gain + step[8],
+            now.phase + step[9],
+        ),
+        now.damping * _EASIER,
+    )
+    better = cost(tried, statistics, prior, temperature) <= cost(now, statistics, prior, temperature)
+    kept = now._replace(damping=now.damping * _HARDER)
+    return jax.tree.map(lambda new, old: jnp.where(better, new, old), tried, kept)
+
+
+def _solved(system, right):
+    """A small symmetric positive system, by Cholesky's factors written out: a batch of them is plain arithmetic."""
+    size = right.shape[0]
+    rows = [[None] * size for _ in range(size)]
+    for i in range(size):
+        for j in range(i + 1):
+            total = system[i, j]
+            for k in range(j):
+                total = total - rows[i][k] * rows[j][k]
+            rows[i][j] = jnp.sqrt(jnp.maximum(total, 1e-12)) if i == j else total / rows[j][j]
+    forward = []
+    for i in range(size):
+        forward.append((right[i] - sum((rows[i][k] * forward[k] for k in range(i)), 0.0)) / rows[i][i])
+    back = [None] * size
+    for i in reversed(range(size)):
+        back[i] = (forward[i] - sum((rows[k][i] * back[k] for k in range(i + 1, size)), 0.0)) / rows[i][i]
+    return jnp.stack(back)

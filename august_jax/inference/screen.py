@@ -1,0 +1,201 @@
+"""The first look at an echo: every attitude of every known craft, at the bearing of the echo, by table.
+
+Attitudes are a lattice: thrust axes spread evenly within the tilt that is asked for, headings in steps as wide as the
+axes lie apart, each axis starting elsewhere. An attitude's coefficients A about the place from which the echo comes
+(:mod:`august_jax.physics.body.survey`) are compared with the echo's statistics Z = A C + N by
+
+    min_g ||Z_j - g A C_j||^2 = ||Z_j||^2 - |<A C_j, Z_j>|^2 / ||A C_j||^2,
+
+the complex gain g in closed form: level and phase say nothing yet. Where a craft scatters from is not where it is: a
+glint on a rotor arm shifts the bearing by an arm's length. So the statistics are moved about a few places j beside the
+bearing, and each attitude takes the one that suits it best. To move them costs nothing for the attitude: a craft seen
+in the same way from another place has the same coefficients about that place, but for what 1/r weakens.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Complex, Float, Int
+
+from august_jax.arrays import Array
+from august_jax.physics.body.survey import SurveyTable, nearest_directions, surveyed_coefficients
+from august_jax.scene.pose import rotation_from_axis_yaw
+from august_jax.signal.roi import Subspace
+from august_jax.signal.station import Statistics
+
+BLOCK = 32
+"""Attitudes of one direction that are looked at together."""
+_ACROSS_M = tuple(0.07 * step for step in range(-6, 7))
+_UPWARD_M = (-0.25, 0.0, 0.25)
+_GOLDEN = math.pi * (3.0 - math.sqrt(5.0))
+
+
+class Screened(NamedTuple):
+    """The candidates that explain most, best first; n of them.
+
+    Attributes:
+        craft: which of the library's (n,).
+        rotation: body to world (n, 3, 3).
+        position: (n, 3) [m].
+        gain: of the survey's contrast (n,) complex.
+        residual: min ||Z - g A C||^2, in units of the noise (n,).
+    """
+
+    craft: Int[Array, " n"]
+    rotation: Float[Array, "n 3 3"]
+    position: Float[Array, "n 3"]
+    gain: Complex[Array, " n"]
+    residual: Float[Array, " n"]
+
+
+def attitude_lattice(tilt_deg: float, spacing_deg: float) -> Float[np.ndarray, "n 3 3"]:
+    """Attitudes (n, 3, 3) float32, body to world, no farther apart than about ``spacing_deg`` [deg].
+
+    Args:
+        tilt_deg: largest tilt of the thrust axis [deg].
+        spacing_deg: of neighbouring thrust axes, and of headings [deg].
+    """
+    spacing, top = math.radians(spacing_deg), 1.0 - math.cos(math.radians(tilt_deg))
+    count = max(math.ceil(2.0 * math.pi * top / spacing**2), 1)
+    row = np.arange(count)
+    z = 1.0 - top * (row + 0.5) / count
+    across = np.sqrt(1.0 - z**2)
+    axes = np.stack([across * np.cos(_GOLDEN * row), across * np.sin(_GOLDEN * row), z], axis=-1)
+    turns = math.ceil(2.0 * math.pi / spacing)
+    heading = 2.0 * np.pi / turns * (np.arange(turns) + (0.618034 * row % 1.0)[:, None])
+    every = np.repeat(axes, turns, axis=0).astype(np.float32)
+    return np.asarray(jax.vmap(rotation_from_axis_yaw)(jnp.asarray(every), jnp.asarray(heading.reshape(-1), jnp.float32)))
+
+
+def moved_statistics(
+    statistics: Statistics, places: Float[Array, "n 3"], subspace: Subspace
+) -> tuple[Complex[jax.Array, "n tones orders orders"], Complex[jax.Array, "n tones orders orders"]]:
+    """Z and C (n, F, K, K) of the coefficients about other places (n, 3) [m]: with T = U^H U',  T^H Z and T^T C."""
+    own = subspace.waves(statistics.centre)
+    change = jnp.einsum("fnk,jfnl->jfkl", own.conj(), jax.vmap(subspace.waves)(places))
+    turned = jnp.swapaxes(change, -1, -2)
+    return turned.conj() @ statistics.received, turned @ statistics.pilots
+
+
+def screen(
+    survey: SurveyTable,
+    subspace: Subspace,
+    statistics: Statistics,
+    place: Float[Array, "3"],
+    attitudes: Float[np.ndarray, "n 3 3"],
+    keep: int,
+) -> Screened:
+    """The ``keep`` best of all attitudes of all craft.
+
+    Args:
+        survey: the known craft at one contrast.
+        subspace: of the station.
+        statistics: of one slot.
+        place: from where the echo comes (3,) [m], :func:`august_jax.signal.towards`.
+        attitudes: candidates, body to world (n, 3, 3).
+        keep: how many to return.
+    """
+    place = np.asarray(place, np.float32)
+    distance = np.linalg.norm(place)
+    sight = place / distance
+    across = np.cross(sight, [0.0, 0.0, 1.0])
+    across /= np.linalg.norm(across)
+    upward = np.cross(across, sight)
+    steps = np.array([(x, z) for x in _ACROSS_M for z in _UPWARD_M])
+    beside = place + steps[:, :1] * across + steps[:, 1:] * upward
+    beside *= distance / np.linalg.norm(beside, axis=1, keepdims=True)
+    direction, rows, real = _blocks(nearest_directions(survey, 0, -sight @ attitudes))
+    crafts = survey.directions.shape[0]
+    residual, which, gain = _compared(
+        survey,
+        subspace,
+        statistics,
+        jnp.asarray(place),
+        jnp.asarray(beside, jnp.float32),
+        jnp.asarray(direction),
+        jnp.asarray(attitudes[rows]),
+    )
+    residual = np.where(real, np.asarray(residual), np.inf)
+    best = np.argpartition(residual.ravel(), min(keep, residual.size - 1))[:keep]
+    best = best[np.argsort(residual.ravel()[best])]
+    craft, block, row = np.unravel_index(best, residual.shape)
+    assert len(residual) == crafts
+    chosen = np.asarray(which)[craft, block, row]
+    turn = np.cross(sight, beside[chosen] / distance)  # small: the craft is seen from there as it was from here
+    seen = attitudes[rows[block, row]]
+    return Screened(
+        craft.astype(np.int32),
+        (seen + np.cross(turn[:, None], seen, axisb=1, axisc=1)).astype(np.float32),
+        beside[chosen].astype(np.float32),
+        np.asarray(gain)[craft, block, row],
+        residual[craft, block, row].astype(np.float32),
+    )
+
+
+def _blocks(
+    direction: Int[np.ndarray, " n"],
+) -> tuple[Int[np.ndarray, " blocks"], Int[np.ndarray, "blocks size"], Bool[np.ndarray, "blocks size"]]:
+    """Blocks of rows that share a direction: the direction, the rows, and which of them are not there to fill up."""
+    order = np.argsort(direction, kind="stable")
+    named, start, count = np.unique(direction[order], return_index=True, return_counts=True)
+    blocks = -(-count // BLOCK)
+    total = int(blocks.sum())
+    first = np.repeat(start, blocks) + BLOCK * (np.arange(total) - np.repeat(np.cumsum(blocks) - blocks, blocks))
+    end = np.repeat(start + count, blocks)[:, None]
+    rows = first[:, None] + np.arange(BLOCK)
+    real = rows < end
+    spare = -total % 256  # few shapes, few compilations
+    direction = np.pad(np.repeat(named, blocks), (0, spare)).astype(np.int32)
+    rows = np.pad(order[np.minimum(rows, end - 1)], ((0, spare), (0, 0)))
+    return direction, rows, np.pad(real, ((0, spare), (0, 0)))
+
+
+@partial(jax.jit, static_argnames="subspace")
+def _compared(survey, subspace, statistics, place, beside, direction, attitudes):
+    """Residual, best place beside and gain of each craft's blocks (C, blocks, BLOCK)."""
+    received, pilots = moved_statistics(statistics, beside, subspace)
+    count, orders = len(beside), received.shape[-1]
+    adjoint = jnp.swapaxes(pilots.conj(), -1, -2)
+    matched = (received @ adjoint).reshape(count, -1, orders**2)
+    grams = (pilots @ adjoint).reshape(count, -1, orders**2)
+    whole = jnp.sum(jnp.abs(received) ** 2, axis=(1, 2, 3))
+    # <A, Z C^H> = sum of conj(A) times it, and ||A C||^2 = tr(C C^H A^H A), as real products over all places at once
+    inner = jnp.concatenate(
+        [
+            jnp.concatenate([matched.real, matched.imag], axis=-1),
+            jnp.concatenate([matched.imag, -matched.real], axis=-1),
+        ]
+    )
+    norms = jnp.concatenate([grams.real, -grams.imag], axis=-1)
+
+    def look(each):
+        craft, towards, rotations = each
+        found = surveyed_coefficients(survey, subspace.array, subspace.basis, place, craft, towards, rotations)
+        matches, energies = 0.0, 0.0
+        for tone, values in enumerate(found):  # tones each with a gain of their own: range is not known to a wave yet
+            real, imag = values.real, values.imag
+            flat = jnp.concatenate([real.reshape(BLOCK, -1), imag.reshape(BLOCK, -1)], axis=1)
+            overlap = flat @ inner[:, tone].T
+            side = jnp.concatenate([real, imag], axis=1)
+            square = jnp.swapaxes(side, 1, 2) @ side
+            crossed = jnp.swapaxes(real, 1, 2) @ imag
+            crossed = jnp.swapaxes(crossed, 1, 2) - crossed
+            energy = jnp.concatenate([square.reshape(BLOCK, -1), crossed.reshape(BLOCK, -1)], axis=1) @ norms[:, tone].T
+            one, other = jnp.split(overlap, 2, axis=1)
+            matches += (one**2 + other**2) / energy
+            energies += jax.lax.complex(one, other) / energy
+        residual = whole - matches
+        chosen = jnp.argmin(residual, axis=1)
+        picked = jnp.arange(BLOCK), chosen
+        return residual[picked], chosen.astype(jnp.int32), energies[picked] / len(found)
+
+    def craft(number):
+        return jax.lax.map(lambda each: look((number, *each)), (direction, attitudes))
+
+    return jax.lax.map(craft, jnp.arange(survey.directions.shape[0]))
