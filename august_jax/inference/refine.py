@@ -22,10 +22,11 @@ from jaxtyping import Complex, Float, Int
 
 from august_jax.arrays import Array
 from august_jax.inference.prior import Prior
+from august_jax.physics.body import Body
 from august_jax.physics.body.local import local_coefficients
 from august_jax.physics.body.table import Table
-from august_jax.physics.parameters import rotation_from_vector
-from august_jax.signal.roi import Subspace
+from august_jax.physics.parameters import Parameters, parameter_channel, rotation_from_vector
+from august_jax.signal.roi import Subspace, project
 from august_jax.signal.station import Statistics
 
 _SCALES = np.array([0.1, 0.1, 0.1, 0.05, 0.05, 0.05, 0.5, 2e-3, 0.1, 0.3], np.float32)
@@ -105,6 +106,29 @@ def improved(
     return jax.lax.map(one, candidates, batch_size=_TOGETHER)
 
 
+@partial(jax.jit, static_argnames=("subspace", "steps"))
+def polished(
+    body: Body,
+    table: Table,
+    subspace: Subspace,
+    statistics: Statistics,
+    prior: Prior,
+    candidates: Candidates,
+    *,
+    steps: int = 6,
+) -> Candidates:
+    """Candidates of one craft after ``steps`` steps each on its factored body; slopes are the table's."""
+
+    def one(each):
+        pose = (each.craft, each.rotation, each.position, each.permittivity, each.conductivity, each.log_gain, None)
+        each = _judged(table, subspace, statistics, pose, jnp.float32(_FIRST), body)
+        return jax.lax.fori_loop(
+            0, steps, lambda _, now: _step(table, subspace, statistics, prior, now, 1.0, body), each
+        )
+
+    return jax.lax.map(one, candidates)
+
+
 @partial(jax.jit, static_argnames="subspace")
 def _begun(table, subspace, statistics, craft, rotation, position, permittivity, conductivity):
     def one(each):
@@ -123,36 +147,45 @@ def _begun(table, subspace, statistics, craft, rotation, position, permittivity,
     return jax.lax.map(one, poses, batch_size=_TOGETHER)
 
 
-def _moved(statistics, place, subspace):
-    own, other = subspace.waves(statistics.centre), subspace.waves(place)
-    change = jnp.swapaxes(own.conj(), -1, -2) @ other
-    turned = jnp.swapaxes(change, -1, -2)
-    return turned.conj() @ statistics.received, turned @ statistics.pilots
+def change_of_centre(
+    statistics: Statistics, place: Float[Array, "3"], subspace: Subspace
+) -> Complex[jax.Array, "tones orders orders"]:
+    """T = U^H U' (F, K, K): coefficients about ``place`` (3,) [m] are T A' T^T about the statistics' own centre."""
+    return jnp.swapaxes(subspace.waves(statistics.centre).conj(), -1, -2) @ subspace.waves(place)
 
 
-def _judged(table, subspace, statistics, pose, damping):
-    """A candidate with its residual, slope and information; a phase of None takes the best."""
+def _judged(table, subspace, statistics, pose, damping, body=None):
+    """A candidate with its residual, slope and information; a phase of None takes the best.
+
+    With a body the coefficients are its own, and the table's serve for the derivatives alone.
+    """
     craft, rotation, position, permittivity, conductivity, log_gain, phase = pose
     found = local_coefficients(
         table, subspace.array, subspace.basis, craft, rotation, position, permittivity, conductivity
     )
-    received, pilots = _moved(statistics, position, subspace)
-    heard = found.values @ pilots
-    overlap = jnp.sum(heard.conj() * received)
+    change = change_of_centre(statistics, position, subspace)
+    pilots = jnp.swapaxes(change, -1, -2) @ statistics.pilots
+    if body is None:
+        heard = change @ (found.values @ pilots)
+    else:
+        waves = jnp.exp(-2j * jnp.asarray(subspace.wavenumbers) * jnp.linalg.norm(position))
+        exact = (
+            parameter_channel(body, subspace.array, Parameters(), rotation, position, permittivity, conductivity)
+            * waves[:, None, None]
+        )
+        heard = project(exact, statistics.centre, subspace).values @ statistics.pilots
+    overlap = jnp.sum(heard.conj() * statistics.received)
     phase = jnp.angle(overlap) if phase is None else phase
     gain = jnp.exp(log_gain) * jax.lax.complex(jnp.cos(phase), jnp.sin(phase))
     model = gain * heard
-    slopes = gain * (found.derivatives @ pilots)
+    slopes = gain * (change @ (found.derivatives @ pilots))
     slopes = jnp.concatenate([slopes, model[None], 1j * model[None]]).reshape(10, -1)
-    left = (received - model).reshape(-1)
-    # what U' leaves out of the received: noise and what the craft does not explain, as much as it is
-    outside = jnp.sum(jnp.abs(statistics.received) ** 2) - jnp.sum(jnp.abs(received) ** 2)
-    residual = jnp.sum(jnp.abs(left) ** 2) + outside
+    left = (statistics.received - model).reshape(-1)
     both = jnp.concatenate([slopes.real, slopes.imag], axis=1)
     against = jnp.concatenate([left.real, left.imag])
     return Candidates(
         craft, rotation, position, permittivity, conductivity, log_gain, phase,
-        residual, 2.0 * both @ both.T, 2.0 * both @ against, damping,
+        jnp.sum(jnp.abs(left) ** 2), 2.0 * both @ both.T, 2.0 * both @ against, damping,
     )  # fmt: skip
 
 
@@ -162,7 +195,8 @@ def departure(candidates: Candidates, statistics: Statistics, prior: Prior) -> F
     zero = jnp.zeros_like(candidates.log_gain)
     rest = (candidates.permittivity - middle, candidates.conductivity - loss, candidates.log_gain, zero)
     return jnp.concatenate(
-        [candidates.position - statistics.centre, jnp.zeros_like(candidates.position), jnp.stack(rest, axis=-1)], axis=-1
+        [candidates.position - statistics.centre, jnp.zeros_like(candidates.position), jnp.stack(rest, axis=-1)],
+        axis=-1,
     )
 
 
@@ -174,7 +208,7 @@ def cost(
     return candidates.residual / temperature + 0.5 * jnp.sum(apart**2, axis=-1)
 
 
-def _step(table, subspace, statistics, prior, now, temperature):
+def _step(table, subspace, statistics, prior, now, temperature, body=None):
     scales = jnp.asarray(_SCALES)
     precision = 1.0 / prior.spreads() ** 2
     slope = now.slope / temperature - precision * departure(now, statistics, prior)
@@ -190,13 +224,16 @@ def _step(table, subspace, statistics, prior, now, temperature):
         (
             now.craft,
             rotation_from_vector(step[3:6]) @ now.rotation,
-            jnp.clip(now.position + step[:3], statistics.centre - prior.half_m - 0.2, statistics.centre + prior.half_m + 0.2),
+            jnp.clip(
+                now.position + step[:3], statistics.centre - prior.half_m - 0.2, statistics.centre + prior.half_m + 0.2
+            ),
             jnp.clip(now.permittivity + step[6], prior.permittivity[0], prior.permittivity[1]),
             jnp.clip(now.conductivity + step[7], prior.conductivity[0], prior.conductivity[1]),
             now.log_gain + step[8],
             now.phase + step[9],
         ),
         now.damping * _EASIER,
+        body,
     )
     better = cost(tried, statistics, prior, temperature) <= cost(now, statistics, prior, temperature)
     kept = now._replace(damping=now.damping * _HARDER)
@@ -220,3 +257,15 @@ def _solved(system, right):
     for i in reversed(range(size)):
         back[i] = (forward[i] - sum((rows[k][i] * back[k] for k in range(i + 1, size)), 0.0)) / rows[i][i]
     return jnp.stack(back)
+
+
+@partial(jax.jit, static_argnames="subspace")
+def corrections(
+    body: Body, table: Table, subspace: Subspace, candidate: Candidates
+) -> Complex[jax.Array, "tones orders orders"]:
+    """What a table leaves out of one candidate's coefficients about its own place (F, K, K): the body's less its own."""
+    pose = (candidate.rotation, candidate.position, candidate.permittivity, candidate.conductivity)
+    own = local_coefficients(table, subspace.array, subspace.basis, candidate.craft, *pose, derivatives=False)
+    exact = parameter_channel(body, subspace.array, Parameters(), *pose)
+    waves = jnp.exp(-2j * jnp.asarray(subspace.wavenumbers) * jnp.linalg.norm(candidate.position))
+    return project(exact * waves[:, None, None], candidate.position, subspace).values - own.values

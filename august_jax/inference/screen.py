@@ -70,7 +70,9 @@ def attitude_lattice(tilt_deg: float, spacing_deg: float) -> Float[np.ndarray, "
     turns = math.ceil(2.0 * math.pi / spacing)
     heading = 2.0 * np.pi / turns * (np.arange(turns) + (0.618034 * row % 1.0)[:, None])
     every = np.repeat(axes, turns, axis=0).astype(np.float32)
-    return np.asarray(jax.vmap(rotation_from_axis_yaw)(jnp.asarray(every), jnp.asarray(heading.reshape(-1), jnp.float32)))
+    return np.asarray(
+        jax.vmap(rotation_from_axis_yaw)(jnp.asarray(every), jnp.asarray(heading.reshape(-1), jnp.float32))
+    )
 
 
 def moved_statistics(

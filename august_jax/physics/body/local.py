@@ -127,7 +127,11 @@ def local_coefficients(
             shifts = phase + jnp.swapaxes(phase, 1, 2) + jnp.tensordot(sight, turns, 1) + weaker[:, None, None] * value
             poses = jnp.concatenate([shifts, turns])
             material = jax.lax.complex(slope_real @ own.T, slope_imag @ own.T)
-            gains = jax.jvp(lambda s: contrast(permittivity, s, frequency).astype(jnp.complex64), (conductivity,), (jnp.ones_like(conductivity),))[1]
+            gains = jax.jvp(
+                lambda s: contrast(permittivity, s, frequency).astype(jnp.complex64),
+                (conductivity,),
+                (jnp.ones_like(conductivity),),
+            )[1]
             slopes.append(jnp.concatenate([poses, material[None], gains * material[None]]))
         else:
             weights = interpolation(table.nodes, chi)

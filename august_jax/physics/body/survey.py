@@ -69,9 +69,7 @@ def survey_table(table: Table, contrast: ArrayLike, *, axes: int | None = None) 
         [interpolation(table.nodes, each) for each in jnp.broadcast_to(jnp.asarray(contrast, jnp.complex64), (tones,))]
     )
     responses = table.responses[..., -kept:, -kept:]  # the weakest come first
-    real, imag = (
-        jnp.einsum("fn,cfdnprs->cfdprs", part, responses) for part in (weights.real, weights.imag)
-    )
+    real, imag = (jnp.einsum("fn,cfdnprs->cfdprs", part, responses) for part in (weights.real, weights.imag))
     mixed = jnp.stack([real[:, :, :, 0] - imag[:, :, :, 1], real[:, :, :, 1] + imag[:, :, :, 0]], axis=3)
     return SurveyTable(
         table.directions,
@@ -85,9 +83,7 @@ def survey_table(table: Table, contrast: ArrayLike, *, axes: int | None = None) 
     )
 
 
-def nearest_directions(
-    survey: SurveyTable, craft: int, towards: Float[np.ndarray, "n 3"]
-) -> Int[np.ndarray, " n"]:
+def nearest_directions(survey: SurveyTable, craft: int, towards: Float[np.ndarray, "n 3"]) -> Int[np.ndarray, " n"]:
     """Which direction of the grid is nearest to each of n directions (n, 3) in the body's frame."""
     return np.argmax(np.asarray(towards, np.float32) @ np.asarray(survey.directions[craft]).T, axis=1)
 

@@ -1,0 +1,113 @@
+"""The known craft: bodies and tables of what may be in the air, made once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from august_jax.config import Config
+from august_jax.data.simulator import Target, contrast_of, prepare_targets, tabulate_targets
+from august_jax.inference.screen import attitude_lattice
+from august_jax.physics import Body, Table, stack_tables
+from august_jax.physics.body.survey import SurveyTable, survey_table
+from august_jax.progress import Progress, silent
+from august_jax.scene.airframes import Airframe
+from august_jax.signal.roi import Subspace
+
+SPACING_DEG = 3.2
+"""Of the attitudes that are looked at first [deg]."""
+_BEYOND_DEG = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Library:
+    """Known craft and all that a search needs of them.
+
+    Attributes:
+        config: array, ranges of place, tilt and material.
+        targets: airframes, cells and factored bodies, C of them.
+        table: their tables, stacked.
+        survey: the tables at one contrast.
+        survey_contrast: that of the survey, its real part.
+        subspace: of the station.
+        attitudes: that a search looks at first (n, 3, 3) float32.
+    """
+
+    config: Config
+    targets: tuple[Target, ...]
+    table: Table
+    survey: SurveyTable
+    survey_contrast: float
+    subspace: Subspace
+    attitudes: Float[np.ndarray, "n 3 3"]
+
+    @property
+    def airframes(self) -> tuple[Airframe, ...]:
+        """The craft."""
+        return tuple(target.airframe for target in self.targets)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Their names."""
+        return tuple(airframe.name for airframe in self.airframes)
+
+    def body(self, craft: int) -> Body:
+        """A craft's factored body."""
+        body = self.targets[craft].body
+        assert body is not None
+        return body
+
+
+def known_craft(
+    config: Config,
+    targets: Sequence[Target] | None = None,
+    *,
+    spacing_deg: float = SPACING_DEG,
+    progress: Progress = silent,
+) -> Library:
+    """Prepare a library of the craft of ``config.target.airframes``; minutes for the first time, then from the cache.
+
+    Args:
+        config: craft, array, box, materials.
+        targets: of :func:`august_jax.data.prepare_targets` for the same configuration, where they are there already;
+            tables that they hold are taken.
+        spacing_deg: of the attitudes that a search looks at first [deg].
+        progress: told how far it is.
+
+    Raises:
+        ValueError: no craft, a craft twice, or craft without bodies (``data.solver`` other than mom and table).
+    """
+    targets = tuple(prepare_targets(config, progress) if targets is None else targets)
+    if not targets:
+        raise ValueError("targets: a library needs at least one craft")
+    digests: dict[str, str] = {}
+    for target in targets:
+        name = target.airframe.name
+        twice = digests.setdefault(target.airframe.digest, name) if target.airframe.digest in digests else None
+        if twice is not None:
+            raise ValueError(f"targets: {name} is in the library twice{'' if twice == name else f', as {twice} too'}")
+        digests[target.airframe.digest] = name
+        if target.body is None:
+            raise ValueError(
+                f"data.solver: {config.data.solver!r} makes no bodies, without which {name} cannot be looked for; use mom"
+            )
+    tables = [target.table for target in targets]
+    found = [table for table in tables if table is not None]
+    if len(found) < len(targets):
+        found = tabulate_targets(config, [target.body for target in targets if target.body is not None], progress)
+    middle = contrast_of(
+        config, sum(np.sqrt(config.target.permittivity)) ** 2 / 4.0, np.mean(config.target.conductivity_s_m)
+    )
+    stacked = stack_tables(found)
+    return Library(
+        config,
+        targets,
+        stacked,
+        survey_table(stacked, middle),
+        float(np.real(middle[0])),
+        Subspace.from_config(config.array),
+        attitude_lattice(config.flight.tilt_deg + _BEYOND_DEG, spacing_deg),
+    )
