@@ -22,6 +22,7 @@ ALLOWED = {
     "scene": BASE | {"physics.cells"},
     "signal": BASE | {"physics"},
     "data": BASE | {"physics", "scene", "signal"},
+    "inference": BASE | {"data", "physics", "scene", "signal"},
     "models": BASE | {"signal.roi"},
     "tracking": BASE | {"signal"},
     "training": BASE | {"models", "data"},

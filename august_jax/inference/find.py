@@ -11,10 +11,19 @@ import numpy as np
 from jaxtyping import Float
 
 from august_jax.arrays import Array
-from august_jax.inference.hypotheses import Hypotheses, Mixture, Posterior, covariances, distinct, evidence, sampled
+from august_jax.inference.hypotheses import (
+    Hypotheses,
+    Mixture,
+    Posterior,
+    covariances,
+    distinct,
+    evidence,
+    sampled,
+    shared_out,
+)
 from august_jax.inference.library import Library
 from august_jax.inference.prior import Prior
-from august_jax.inference.refine import Candidates, begin, cost, corrections, improved, polished
+from august_jax.inference.refine import Candidates, begin, corrections, cost, improved, polished
 from august_jax.inference.screen import screen
 from august_jax.physics.parameters import rotation_from_vector
 from august_jax.signal.estimators import Region, roi_coefficients
@@ -210,8 +219,8 @@ def _bearing(statistics, subspace, half_m):
 
 
 def _best(found: Candidates, statistics: Statistics, prior: Prior, heat: float, kept: int) -> Candidates:
-    costs = np.asarray(cost(found, statistics, prior, heat))
-    return jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)[np.argsort(costs)[:kept]]), found)
+    rows = shared_out(np.asarray(cost(found, statistics, prior, heat)), np.asarray(found.craft), kept)[:kept]
+    return jax.tree.map(lambda leaf: np.asarray(leaf)[rows], found)
 
 
 def _shaken(library, statistics, prior, found, snr_db):
@@ -250,7 +259,7 @@ def _weighed(library, statistics, prior, found, key, level, clock, seconds):
 
     rows = distinct(found, np.asarray(cost(found, statistics, prior)), _PARTS)
     modes = jax.tree.map(lambda leaf: np.asarray(leaf)[rows], found)
-    first = [
+    polished_modes = [
         polished(
             library.body(int(modes.craft[row])),
             library.table,
@@ -262,7 +271,7 @@ def _weighed(library, statistics, prior, found, key, level, clock, seconds):
         )
         for row in range(len(rows))
     ]
-    modes = jax.tree.map(lambda *leaves: np.concatenate([np.asarray(leaf) for leaf in leaves]), *first)
+    modes = jax.tree.map(lambda *leaves: np.concatenate([np.asarray(leaf) for leaf in leaves]), *polished_modes)
     modes = modes.at(distinct(modes, np.asarray(cost(modes, statistics, prior)), _PARTS))
     clock("polish")
     scores = evidence(modes, statistics, prior)
@@ -273,14 +282,12 @@ def _weighed(library, statistics, prior, found, key, level, clock, seconds):
     tempered = np.exp(0.3 * (scores - scores.max()))
     share = 0.6 * weight + 0.4 * tempered / tempered.sum()
     inverse = covariances(modes, prior)
-    kept = np.r_[0:7]
-    narrowed = inverse[:, kept[:, None], kept]
+    narrowed = inverse[:, :7, :7]
     factor = np.linalg.cholesky(narrowed + 1e-12 * np.eye(7) * np.diagonal(narrowed, axis1=1, axis2=2).max())
-    spare = _PARTS - len(share)
     first = _mixture(library, modes, factor, share, _PARTS)
     begin_key, end_key = jax.random.split(key)
     shared = (library.table, library.subspace, statistics, prior)
-    # Of what the modes' Gaussians meet, the second mixture follows where a posterior bends: parts about its own samples.
+    # The second mixture follows where a posterior bends: it has parts about samples that the first one met.
     *poses, log_weight, part = (np.asarray(leaf) for leaf in sampled(begin_key, *shared, first, _PILOTS))
     found = _resampled(poses, log_weight, part, modes, factor)
     if found is not None:

@@ -1,12 +1,8 @@
 """From explanations to a posterior: modes, their Laplace weights, and weighted samples that correct them.
 
 Modes (refined candidates) give a mixture of Student distributions, each about its mode with the covariance of its
-information. Samples theta of it are weighed by posterior over mixture. The complex gain is integrated out: with
-a = ||m||^2 and b = |<m, Z>| of the model m = A C of unit gain, its phase unknown and its modulus log-normal about one,
-
-    log p(Z | theta) = -||Z||^2 + b^2/a - log(b^2/a) + log N(log(b/a); 0, s) + const
-
-to leading order in 1/b, which is the number of noise units in the echo, thousands at 0 dB over all antennas.
+information. Samples theta of it are weighed by posterior over mixture, the complex gain integrated out
+(:func:`log_mean_likelihood`).
 """
 
 from __future__ import annotations
@@ -20,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Complex, Float, Int
 
-from august_jax.arrays import Array
+from august_jax.arrays import Array, ArrayLike
 from august_jax.inference.prior import Prior
 from august_jax.inference.refine import Candidates, change_of_centre, cost
 from august_jax.physics.body.local import local_coefficients
@@ -98,7 +94,7 @@ class Posterior:
     @property
     def weights(self) -> Float[np.ndarray, " m"]:
         """Of the samples; they add up to one."""
-        return np.exp(self.log_weight)
+        return np.asarray(np.exp(self.log_weight))
 
     @property
     def mean_position(self) -> Float[np.ndarray, "3"]:
@@ -128,7 +124,7 @@ class Posterior:
         found = []
         for values in (self.permittivity, self.conductivity):
             mean = float(self.weights @ values)
-            found += [mean, float(np.sqrt(max(self.weights @ (values - mean) ** 2, 0.0)))]
+            found += [mean, float(np.sqrt(max(float(self.weights @ (values - mean) ** 2), 0.0)))]
         return found[0], found[1], found[2], found[3]
 
 
@@ -170,12 +166,29 @@ def evidence(candidates: Candidates, statistics: Statistics, prior: Prior) -> Fl
     return -costs + 0.5 * volume + np.maximum(tilts, -30.0)
 
 
-def distinct(candidates: Candidates, score: Float[np.ndarray, " n"], most: int) -> Int[np.ndarray, " m"]:
-    """Rows of the best candidates that differ, best first: another craft, 1 degree, or 0.12 m."""
+def shared_out(score: Float[np.ndarray, " n"], craft: Int[np.ndarray, " n"], most: int) -> Int[np.ndarray, " n"]:
+    """Rows by score, lowest first, but that the first ``most`` hold ``most``/2C of each of C craft, if there are.
+
+    What an echo of little power says cannot be told from the best residuals alone: a craft may explain it a little
+    worse in many more ways.
+    """
+    order = np.argsort(score, kind="stable")
+    names = np.unique(craft)
+    rank = np.empty(len(order), np.int64)  # within the own craft
+    for name in names:
+        own = order[craft[order] == name]
+        rank[own] = np.arange(len(own))
+    first = rank < most // (2 * len(names))
+    return np.concatenate([order[first[order]], order[~first[order]]])
+
+
+def distinct(candidates: Candidates, score: Float[Array, " n"], most: int) -> Int[np.ndarray, " m"]:
+    """Rows of the best candidates that differ, best first: another craft, 1 degree, or 0.12 m; no craft takes more than
+    its share of ``most`` while others have any."""
     rotation, position = np.asarray(candidates.rotation), np.asarray(candidates.position)
     craft = np.asarray(candidates.craft)
     kept: list[int] = []
-    for row in np.argsort(score):
+    for row in shared_out(np.asarray(score), craft, most):
         trace = np.einsum("nij,ij->n", rotation[kept], rotation[row])
         near = (craft[kept] == craft[row]) & (trace > 1.0 + 2.0 * np.cos(np.radians(1.0)))
         near &= np.linalg.norm(position[kept] - position[row], axis=1) < 0.12
@@ -183,15 +196,14 @@ def distinct(candidates: Candidates, score: Float[np.ndarray, " n"], most: int) 
             kept.append(int(row))
         if len(kept) == most:
             break
-    return np.asarray(kept)
+    return np.asarray(sorted(kept, key=lambda row: float(score[row])))
 
 
 @partial(jax.jit, static_argnames=("subspace", "count"))
 def sampled(
     key: jax.Array, table: Table, subspace: Subspace, statistics: Statistics, prior: Prior, mixture: Mixture, count: int
 ) -> tuple[jax.Array, ...]:
-    """``count`` samples of a mixture: craft, rotation, position, permittivity, conductivity, log weight, and of which of
-    its parts they are, each (m, ...)."""
+    """``count`` samples of a mixture: craft, rotation, position, permittivity, conductivity, log weight, part."""
     parts, shapes, chi, losses = jax.random.split(key, 4)
     # shares are met to the sample: fewer samples are wasted on chance
     places = (jnp.arange(count) + jax.random.uniform(parts)) / count
@@ -224,15 +236,38 @@ def sampled(
         pilots = jnp.swapaxes(change, -1, -2) @ statistics.pilots
         heard = change @ ((found.values + mixture.correction[part]) @ pilots)
         energy, overlap = jnp.sum(jnp.abs(heard) ** 2), jnp.abs(jnp.sum(heard.conj() * statistics.received))
-        match = jnp.maximum(overlap**2 / energy, 1.0)
-        level = jnp.log(overlap / energy)
-        return match - jnp.log(match) - 0.5 * (level / prior.log_gain) ** 2
+        return log_mean_likelihood(energy, overlap, prior.log_gain)
 
     likelihood = jax.lax.map(one, (craft, rotation, position, permittivity, conductivity, part), batch_size=_TOGETHER)
     inside = jnp.all(jnp.abs(position - statistics.centre) <= prior.half_m, axis=1)
     inside &= (permittivity >= prior.permittivity[0]) & (permittivity <= prior.permittivity[1])
     log_prior = jnp.where(inside, prior.log_tilt(rotation), -jnp.inf)
     return craft, rotation, position, permittivity, conductivity, likelihood + log_prior - proposed, part
+
+
+def log_mean_likelihood(energy: ArrayLike, overlap: ArrayLike, log_gain: ArrayLike) -> Float[jax.Array, ""]:
+    """Log likelihood of a model of unit gain, averaged over the gain: phase uniform, modulus log-normal about one.
+
+    Relative to an echo without a craft, log of the mean of I0(2 g b) exp(-g^2 a): on a grid of g where the echo is
+    weak, and by its leading order, Laplace's in log g, where it is strong and a grid would have to be fine.
+
+    Args:
+        energy: a, ||m||^2 of the model at a gain of one, in units of the noise.
+        overlap: b, |<m, Z>|.
+        log_gain: s, standard deviation of log g.
+    """
+    levels = jnp.linspace(-4.0, 4.0, 49)
+    gains = jnp.exp(levels * log_gain)
+    wave = 2.0 * gains * overlap
+    parts = jnp.log(jax.scipy.special.i0e(wave)) + wave - gains**2 * energy - 0.5 * levels**2
+    coarse = jax.scipy.special.logsumexp(parts) + jnp.log(8.0 / 48.0 / np.sqrt(2.0 * np.pi))
+    match = jnp.maximum(overlap**2 / energy, 1e-3)
+    level = jnp.log(jnp.maximum(overlap, 1e-20) / energy)
+    # I0 falls as 1/sqrt(4 pi match); log g has a variance of 1/(2 match) about the level, and the prior's about zero
+    width = 1.0 / (2.0 * match)
+    joint = width + log_gain**2
+    fine = match - 0.5 * jnp.log(4.0 * np.pi * match) + 0.5 * jnp.log(width / joint) - 0.5 * level**2 / joint
+    return jnp.where(width < (0.25 * log_gain) ** 2, fine, coarse)
 
 
 def _density(mixture, craft, rotation, position, permittivity):

@@ -92,15 +92,14 @@ def known_craft(
         digests[target.airframe.digest] = name
         if target.body is None:
             raise ValueError(
-                f"data.solver: {config.data.solver!r} makes no bodies, without which {name} cannot be looked for; use mom"
+                f"data.solver: {config.data.solver!r} makes no bodies, without which {name} cannot be found; use mom"
             )
     tables = [target.table for target in targets]
     found = [table for table in tables if table is not None]
     if len(found) < len(targets):
         found = tabulate_targets(config, [target.body for target in targets if target.body is not None], progress)
-    middle = contrast_of(
-        config, sum(np.sqrt(config.target.permittivity)) ** 2 / 4.0, np.mean(config.target.conductivity_s_m)
-    )
+    ranges = config.target
+    middle = contrast_of(config, np.mean(np.sqrt(ranges.permittivity)) ** 2, np.mean(ranges.conductivity_s_m))
     stacked = stack_tables(found)
     return Library(
         config,

@@ -22,6 +22,7 @@ from august_jax.scene.trajectory import fly_many
 
 TILT_BINS = 64
 """Of equal width in the cosine, from level to the largest tilt."""
+_TURN_RAD = 0.5  # of a step's or a mode's attitude, where the echo says less
 _FLIGHTS = 512
 GAIN_DB = 1.0
 """Standard deviation to which the level of the gain is calibrated [dB], where nothing else is said."""
@@ -81,7 +82,7 @@ class Prior(NamedTuple):
         return cls(*(jnp.asarray(number, jnp.float32) for number in numbers))
 
     def log_tilt(self, rotation: Float[Array, "*n 3 3"]) -> Float[jax.Array, "*n"]:
-        """Log density of thrust axes per steradian; linear between the bins' middles, minus infinity beyond the tilt."""
+        """Log density of thrust axes per steradian: linear between the bins' middles, none beyond the largest tilt."""
         bins = self.tilt_density.shape[0]
         lowest = jnp.cos(self.tilt_rad)
         place = (1.0 - rotation[..., 2, 2]) / (1.0 - lowest) * bins - 0.5
@@ -95,7 +96,7 @@ class Prior(NamedTuple):
 
     def spreads(self) -> Float[jax.Array, "10"]:
         """Standard deviations of theta (:data:`august_jax.physics.parameters.PARAMETERS`) for a search's Gaussian; a
-        turn's is that of nothing known."""
+        turn's is about the attitude at hand."""
 
         def uniform(ends):
             return jnp.maximum((ends[1] - ends[0]) / np.sqrt(12.0), 1e-6)
@@ -103,7 +104,7 @@ class Prior(NamedTuple):
         return jnp.stack(
             [
                 *[self.half_m / np.sqrt(3.0)] * 3,
-                *[jnp.float32(1e2)] * 3,
+                *[jnp.float32(_TURN_RAD)] * 3,
                 uniform(self.permittivity),
                 uniform(self.conductivity),
                 self.log_gain,

@@ -1,7 +1,7 @@
 """From candidates to explanations: Levenberg-Marquardt in pose, material and gain, many at a time, fewer and fewer.
 
-theta are the ten numbers of :mod:`august_jax.physics.parameters`. With Z = A C + N of unit noise and a Gaussian prior of
-standard deviations s about theta_0,
+theta are the ten numbers of :mod:`august_jax.physics.parameters`. With Z = A C + N of unit noise and a Gaussian prior
+of standard deviations s about theta_0,
 
     minimise  ||Z - e^{log-gain + j phase} A(theta) C||^2 / tau + sum ((theta - theta_0) / s)^2 / 2,
 
@@ -12,8 +12,10 @@ taken where it is no worse than what it came from; else the next is shorter.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -32,7 +34,9 @@ from august_jax.signal.station import Statistics
 _SCALES = np.array([0.1, 0.1, 0.1, 0.05, 0.05, 0.05, 0.5, 2e-3, 0.1, 0.3], np.float32)
 """Of theta, so that the normal equations are of one size."""
 _FIRST, _EASIER, _HARDER = 1e-2, 0.2, 8.0
+_BEYOND_M = 0.2
 _TOGETHER = 64
+_PIECE = 128
 
 
 class Candidates(NamedTuple):
@@ -78,10 +82,10 @@ def begin(
     conductivity: Float[Array, " n"],
 ) -> Candidates:
     """Candidates of given poses and materials, with the phase of the gain that suits them and its level as known."""
-    return _begun(table, subspace, statistics, craft, rotation, position, permittivity, conductivity)
+    reals = [np.asarray(part, np.float32) for part in (rotation, position, permittivity, conductivity)]
+    return _in_pieces(lambda piece: _begun(table, subspace, statistics, *piece), (np.asarray(craft, np.int32), *reals))
 
 
-@partial(jax.jit, static_argnames=("subspace", "steps"))
 def improved(
     table: Table,
     subspace: Subspace,
@@ -93,15 +97,30 @@ def improved(
     steps: int = 1,
 ) -> Candidates:
     """Candidates after ``steps`` steps each."""
+    return _in_pieces(
+        lambda piece: _improved(table, subspace, statistics, prior, piece, temperature, steps), candidates
+    )
 
+
+def _in_pieces(function: Callable[[Any], Any], tree: Any) -> Any:
+    """``function`` of a tree of arrays with a common first axis, so many rows at a time: one shape to compile for; and
+    two pieces at once, because small products keep one core busy."""
+    tree = jax.tree.map(np.asarray, tree)
+    count = len(jax.tree.leaves(tree)[0])
+    rows = np.resize(np.arange(count), (max(-(-count // _PIECE), 1), _PIECE))
+    with ThreadPoolExecutor(2) as pool:
+        found = list(
+            pool.map(lambda each: jax.tree.map(np.asarray, function(jax.tree.map(lambda leaf: leaf[each], tree))), rows)
+        )
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves)[:count], *found)
+
+
+@partial(jax.jit, static_argnames="subspace")
+def _improved(table, subspace, statistics, prior, candidates, temperature, steps):
     def one(each):
-        for _ in range(steps) if steps == 1 else ():
-            each = _step(table, subspace, statistics, prior, each, temperature)
-        if steps > 1:
-            each = jax.lax.fori_loop(
-                0, steps, lambda _, now: _step(table, subspace, statistics, prior, now, temperature), each
-            )
-        return each
+        return jax.lax.fori_loop(
+            0, steps, lambda _, now: _step(table, subspace, statistics, prior, now, temperature), each
+        )
 
     return jax.lax.map(one, candidates, batch_size=_TOGETHER)
 
@@ -142,9 +161,7 @@ def _begun(table, subspace, statistics, craft, rotation, position, permittivity,
             jnp.float32(_FIRST),
         )
 
-    poses = (craft, rotation, position, permittivity, conductivity)
-    poses = tuple(jnp.asarray(part, jnp.int32 if row == 0 else jnp.float32) for row, part in enumerate(poses))
-    return jax.lax.map(one, poses, batch_size=_TOGETHER)
+    return jax.lax.map(one, (craft, rotation, position, permittivity, conductivity), batch_size=_TOGETHER)
 
 
 def change_of_centre(
@@ -190,14 +207,12 @@ def _judged(table, subspace, statistics, pose, damping, body=None):
 
 
 def departure(candidates: Candidates, statistics: Statistics, prior: Prior) -> Float[jax.Array, "*n 10"]:
-    """theta - theta_0 (..., 10): how far candidates are from the middle of the prior; turns and phases count as none."""
+    """theta - theta_0 (..., 10), how far candidates are from the prior's middle; turns and phases count as none."""
     middle, loss = prior.middle()
     zero = jnp.zeros_like(candidates.log_gain)
     rest = (candidates.permittivity - middle, candidates.conductivity - loss, candidates.log_gain, zero)
-    return jnp.concatenate(
-        [candidates.position - statistics.centre, jnp.zeros_like(candidates.position), jnp.stack(rest, axis=-1)],
-        axis=-1,
-    )
+    offset = jnp.asarray(candidates.position) - statistics.centre
+    return jnp.concatenate([offset, jnp.zeros_like(offset), jnp.stack(rest, axis=-1)], axis=-1)
 
 
 def cost(
@@ -205,7 +220,7 @@ def cost(
 ) -> Float[jax.Array, "*n"]:
     """What is minimised (...,)."""
     apart = departure(candidates, statistics, prior) / prior.spreads()
-    return candidates.residual / temperature + 0.5 * jnp.sum(apart**2, axis=-1)
+    return jnp.asarray(candidates.residual) / temperature + 0.5 * jnp.sum(apart**2, axis=-1)
 
 
 def _step(table, subspace, statistics, prior, now, temperature, body=None):
@@ -217,6 +232,7 @@ def _step(table, subspace, statistics, prior, now, temperature, body=None):
     step = scales * _solved(system, scales * slope)
     length = jnp.sqrt(jnp.sum(step[3:6] ** 2))
     step = step * jnp.minimum(1.0, 0.2 / jnp.maximum(length, 1e-9))  # a model that is linear for 10 degrees at most
+    reach = prior.half_m + _BEYOND_M
     tried = _judged(
         table,
         subspace,
@@ -224,9 +240,7 @@ def _step(table, subspace, statistics, prior, now, temperature, body=None):
         (
             now.craft,
             rotation_from_vector(step[3:6]) @ now.rotation,
-            jnp.clip(
-                now.position + step[:3], statistics.centre - prior.half_m - 0.2, statistics.centre + prior.half_m + 0.2
-            ),
+            statistics.centre + jnp.clip(now.position + step[:3] - statistics.centre, -reach, reach),
             jnp.clip(now.permittivity + step[6], prior.permittivity[0], prior.permittivity[1]),
             jnp.clip(now.conductivity + step[7], prior.conductivity[0], prior.conductivity[1]),
             now.log_gain + step[8],
@@ -243,17 +257,17 @@ def _step(table, subspace, statistics, prior, now, temperature, body=None):
 def _solved(system, right):
     """A small symmetric positive system, by Cholesky's factors written out: a batch of them is plain arithmetic."""
     size = right.shape[0]
-    rows = [[None] * size for _ in range(size)]
+    rows: list[list[Any]] = [[None] * size for _ in range(size)]
     for i in range(size):
         for j in range(i + 1):
             total = system[i, j]
             for k in range(j):
                 total = total - rows[i][k] * rows[j][k]
             rows[i][j] = jnp.sqrt(jnp.maximum(total, 1e-12)) if i == j else total / rows[j][j]
-    forward = []
+    forward: list[Any] = []
     for i in range(size):
         forward.append((right[i] - sum((rows[i][k] * forward[k] for k in range(i)), 0.0)) / rows[i][i])
-    back = [None] * size
+    back: list[Any] = [None] * size
     for i in reversed(range(size)):
         back[i] = (forward[i] - sum((rows[k][i] * back[k] for k in range(i + 1, size)), 0.0)) / rows[i][i]
     return jnp.stack(back)
@@ -263,9 +277,9 @@ def _solved(system, right):
 def corrections(
     body: Body, table: Table, subspace: Subspace, candidate: Candidates
 ) -> Complex[jax.Array, "tones orders orders"]:
-    """What a table leaves out of one candidate's coefficients about its own place (F, K, K): the body's less its own."""
+    """What a table leaves out of one candidate's coefficients about its own place (F, K, K): the body's less its."""
     pose = (candidate.rotation, candidate.position, candidate.permittivity, candidate.conductivity)
     own = local_coefficients(table, subspace.array, subspace.basis, candidate.craft, *pose, derivatives=False)
     exact = parameter_channel(body, subspace.array, Parameters(), *pose)
     waves = jnp.exp(-2j * jnp.asarray(subspace.wavenumbers) * jnp.linalg.norm(candidate.position))
-    return project(exact * waves[:, None, None], candidate.position, subspace).values - own.values
+    return jnp.asarray(project(exact * waves[:, None, None], candidate.position, subspace).values) - own.values

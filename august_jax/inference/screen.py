@@ -179,7 +179,7 @@ def _compared(survey, subspace, statistics, place, beside, direction, attitudes)
     def look(each):
         craft, towards, rotations = each
         found = surveyed_coefficients(survey, subspace.array, subspace.basis, place, craft, towards, rotations)
-        matches, energies = 0.0, 0.0
+        matches, gains = jnp.zeros((BLOCK, count)), jnp.zeros((BLOCK, count), jnp.complex64)
         for tone, values in enumerate(found):  # tones each with a gain of their own: range is not known to a wave yet
             real, imag = values.real, values.imag
             flat = jnp.concatenate([real.reshape(BLOCK, -1), imag.reshape(BLOCK, -1)], axis=1)
@@ -191,11 +191,11 @@ def _compared(survey, subspace, statistics, place, beside, direction, attitudes)
             energy = jnp.concatenate([square.reshape(BLOCK, -1), crossed.reshape(BLOCK, -1)], axis=1) @ norms[:, tone].T
             one, other = jnp.split(overlap, 2, axis=1)
             matches += (one**2 + other**2) / energy
-            energies += jax.lax.complex(one, other) / energy
+            gains += jax.lax.complex(one, other) / energy
         residual = whole - matches
         chosen = jnp.argmin(residual, axis=1)
         picked = jnp.arange(BLOCK), chosen
-        return residual[picked], chosen.astype(jnp.int32), energies[picked] / len(found)
+        return residual[picked], chosen.astype(jnp.int32), gains[picked] / len(found)
 
     def craft(number):
         return jax.lax.map(lambda each: look((number, *each)), (direction, attitudes))

@@ -14,7 +14,15 @@ from august_jax.signal.roi import (
     spherical_phases,
     towards,
 )
-from august_jax.signal.station import Observation, RegionObservation, echo, observe, observe_for, observe_region
+from august_jax.signal.station import (
+    Observation,
+    RegionObservation,
+    Statistics,
+    echo,
+    observe,
+    observe_for,
+    observe_region,
+)
 
 __all__ = [
     "ESTIMATORS",
@@ -24,6 +32,7 @@ __all__ = [
     "Observation",
     "Region",
     "RegionObservation",
+    "Statistics",
     "Subspace",
     "dbm_to_watt",
     "direction_angles",

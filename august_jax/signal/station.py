@@ -173,7 +173,9 @@ def observe(
     snr = jnp.sum(energy(clean)) / jnp.sum(energy(noise))
     known = snr_above_noise(jnp.sum(energy(received)), received.size)
     waves = subspace.waves(predicted)
-    statistics = _statistics(jnp.swapaxes(waves.conj(), -1, -2) @ received, jnp.swapaxes(waves, -1, -2) @ sent, predicted)
+    statistics = _statistics(
+        jnp.swapaxes(waves.conj(), -1, -2) @ received, jnp.swapaxes(waves, -1, -2) @ sent, predicted
+    )
     return Observation(
         estimates.channel, _decibels(snr), _decibels(known), beams.watt_to_dbm(power_w), estimates.rank, statistics
     )
