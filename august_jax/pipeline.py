@@ -22,7 +22,7 @@ from august_jax.models import Networks
 from august_jax.progress import Progress, silent
 from august_jax.scene import Scenario, draw_scenario, pose_scenario
 from august_jax.schemes import SCHEMES, Answer, Setting, Slots
-from august_jax.signal import Coefficients
+from august_jax.signal import Coefficients, Statistics
 from august_jax.tracking import Followed, Kalman, Predictor, Track, follow
 
 __all__ = ["SHIPPED", "Networks", "Scenario", "Track", "draw_scenario", "load_networks", "pose_scenario",
@@ -107,7 +107,7 @@ def sense(
     )
     predictor = Kalman.for_flight(config.flight) if predictor is None else predictor
     seen = jax.tree.map(
-        lambda leaf: np.asarray(leaf, np.float64),
+        lambda leaf: np.asarray(leaf, np.complex64 if jnp.iscomplexobj(leaf) else np.float64),
         _followed(networks, streams.key(seed, "sense.slot"), channels, detected, config, predictor, snr_db),
     )
     points = config.target.points
@@ -125,6 +125,8 @@ def sense(
         point_permittivity=seen.found.cloud.permittivity,
         point_conductivity=seen.found.cloud.conductivity,
         normal_estimate=seen.found.normal,
+        received=seen.statistics.received,
+        pilots=seen.statistics.pilots,
     )
 
 
@@ -142,8 +144,10 @@ def _followed(
     ask = SCHEMES["august"].prepare(Setting(config, networks, None, key))
     assert ask is not None  # it needs networks alone
 
-    def locate(key: jax.Array, heard: Array | Coefficients, predicted: jax.Array, snr: jax.Array) -> Answer:
-        slot = jax.tree.map(lambda leaf: leaf[None], Slots(predicted, snr, heard, None))
+    def locate(
+        key: jax.Array, heard: Array | Coefficients, predicted: jax.Array, snr: jax.Array, statistics: Statistics
+    ) -> Answer:
+        slot = jax.tree.map(lambda leaf: leaf[None], Slots(predicted, snr, heard, None, statistics))
         return jax.tree.map(lambda leaf: leaf[0], ask(key, slot))
 
     return follow(key, channels, detected, snr_db, config, predictor, locate)

@@ -5,13 +5,14 @@ import shutil
 from dataclasses import replace
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from august_jax import data
 from august_jax.config import override, preset
 from august_jax.physics import PlanarArray, contrast, sensing_channel
-from august_jax.signal import Coefficients
+from august_jax.signal import Coefficients, Subspace, project
 
 CONFIG = override(preset("smoke"), ["data.count=48", "data.shard_rows=20", "data.observed=true"])
 
@@ -66,6 +67,21 @@ def test_what_nobody_will_read_is_not_stored(targets, folder, tmp_path):
         assert abs(stored - data.bytes_of(each)) < 200 * len(list(place.rglob("*.npy")))  # headers
     with pytest.raises(ValueError, match="data.observed"):
         data.TrainingBatches(data.Dataset(tmp_path), override(CONFIG, ["train.batch=8", "train.reobserve=false"]))
+
+
+def test_an_observation_says_all_that_the_echo_holds_to_who_asks(targets):
+    samples = data.generate(CONFIG, np.arange(4) * CONFIG.flight.slots, targets)
+    plain, asked = (
+        data.observed_anew(jax.random.key(0), samples, CONFIG, 20.0, statistics=ask) for ask in (False, True)
+    )
+    assert plain.statistics is None
+    jax.tree.map(np.testing.assert_array_equal, plain, asked._replace(statistics=None))
+    np.testing.assert_array_equal(asked.statistics.centre, asked.predicted)
+    # Z = A C + N of the true channel's coefficients A: what is left is noise of unit power, 196 numbers
+    subspace = Subspace.from_config(CONFIG.array)
+    true = jax.vmap(project, (0, 0, None))(data.unpack(jnp.asarray(samples.true_channel)), asked.predicted, subspace)
+    left = asked.statistics.received - true.values @ asked.statistics.pilots
+    assert np.mean(np.abs(left) ** 2) == pytest.approx(1.0, abs=4.0 / np.sqrt(left.size))
 
 
 def test_materials_that_ask_too_much_of_the_cells_are_told_with_the_figure():

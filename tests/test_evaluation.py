@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from made_up_posterior import MadeUpLibrary, made_up_posterior, search_is_made_up
 from made_up_track import made_up_track
 
 from august_jax.config import override, preset
@@ -12,6 +13,7 @@ from august_jax.evaluation import score, score_track
 from august_jax.evaluation.bound import unit_information
 from august_jax.scene import WorldCloud
 from august_jax.schemes import Answer, Truth
+from august_jax.schemes.matched_field import search_track
 
 
 def truth(count=3, points=50):
@@ -51,6 +53,25 @@ def test_what_an_answer_lacks_is_not_scored():
     assert scores["mpe_m"] is None and scores["wd_db"] == pytest.approx(-20.0, abs=1e-3)
 
 
+def test_craft_regions_and_what_is_explained_are_counted():
+    true = truth(4)._replace(craft=np.array([0, 1, 2, 2]))
+    cross = np.concatenate([radius * np.concatenate([np.eye(3), -np.eye(3)]) for radius in (0.1, 0.2, 0.3)])
+    middle = np.array([[0.05, 0.0, 0.0], [0.0, 0.25, 0.0], [0.0, 0.0, 0.5], [np.nan, 0.0, 0.0]])
+    answer = Answer(
+        samples=middle[:, None] + cross,
+        craft=np.array([0, 1, 2, -1]),
+        craft_probability=np.full((4, 5), 0.2),
+        explained=np.array([True, True, True, False]),
+        seconds=np.array([30.0, 1.0, 2.0, 3.0]),
+    )
+    found = score(answer, true, 0.25)
+    assert (found["craft_accuracy"], found["craft_chance"], found["explained"]) == (0.75, 0.2, 0.75)
+    # the truth lies nearer than all samples of the first, a third of the second's and none of the third's
+    assert (found["inside_50"], found["inside_90"]) == (pytest.approx(1 / 3), pytest.approx(2 / 3))
+    assert found["seconds"] == 2.5  # the median: a first slot compiles
+    assert found["mpe_m"] is None and score(answer, true._replace(craft=None), 0.25)["craft_accuracy"] is None
+
+
 def test_errors_along_and_across_the_line_of_sight():
     true = truth()._replace(position=np.tile([0.0, 5.0, 0.0], (3, 1)))
     scores = score(Answer(position=true.position + [0.3, 0.4, 0.0]), true, 0.25)
@@ -66,6 +87,34 @@ def test_a_perfect_reconstruction_scores_like_the_floor():
         assert rows["august"][metric] == pytest.approx(rows["resampling"][metric], rel=1e-3)
     assert rows["prediction"]["mpe_m"] == pytest.approx(0.1 * np.sqrt(3.0), rel=1e-4)
     assert rows["mean_shape"]["wd_db"] > rows["august"]["wd_db"]
+
+
+def test_a_search_of_a_track_is_told_beside_the_networks(monkeypatch, unchecked):
+    search_is_made_up(monkeypatch, unexplained=(1,))
+    config, track, library = preset("smoke"), made_up_track(), MadeUpLibrary(("quad_x", "hexa"))
+    with pytest.raises(ValueError, match="track: it does not hold what its echoes say"):
+        search_track(track, library, config, seed=0, slots=[0])
+    said = np.zeros((3, 1, 7, 7), np.complex64)
+    track = replace(track, received=said, pilots=said)
+    search = search_track(track, library, config, seed=0, slots=[0, 2], craft=1)
+    found = score_track(track, config, 0.25, search=search)
+    row = {each["scheme"]: each for each in found["schemes"]}["matched_field"]
+    assert (row["count"], row["craft_accuracy"], row["craft_chance"], row["explained"]) == (2, 0.5, 0.5, 0.5)
+    # the first is the posterior's, about the prediction; the second, which nothing explains, the networks'
+    errors = [
+        np.linalg.norm(made_up_posterior(track.predicted[0]).mean_position - track.position[0]),
+        np.linalg.norm(track.estimated_position[2] - track.position[2]),
+    ]
+    assert row["mpe_m"] == pytest.approx(np.mean(errors), rel=1e-4)
+    first, second, third = (slot["search"] for slot in found["slots"])
+    assert second is None and (first["craft"], third["craft"]) == ("hexa", None)
+    assert first["explained"] and not third["explained"]
+    assert sum(first["craft_probability"].values()) == pytest.approx(1.0)
+    best, other = first["hypotheses"]
+    assert (best["craft"], best["probability"], other["craft"]) == ("hexa", 0.7, "quad_x")
+    np.testing.assert_allclose(best["normal"], [0.0, -0.6, 0.8])
+    np.testing.assert_allclose(best["position"], track.predicted[0] + 0.1, atol=1e-6)
+    assert best["heading_deg"] == 0.0
 
 
 def test_meshes_that_are_gone_cost_the_mean_shape_and_no_more():

@@ -26,8 +26,8 @@ ALLOWED = {
     "models": BASE | {"signal.roi"},
     "tracking": BASE | {"signal"},
     "training": BASE | {"models", "data"},
-    "schemes": BASE | {"models", "tracking", "signal", "scene"},
-    "evaluation": BASE | {"schemes", "data", "tracking", "models", "physics", "signal", "scene"},
+    "schemes": BASE | {"inference", "models", "tracking", "signal", "scene"},
+    "evaluation": BASE | {"schemes", "inference", "data", "tracking", "models", "physics", "signal", "scene"},
     "pipeline": BASE | {"schemes", "data", "tracking", "models", "signal", "scene", "training.checkpoint"},
 }
 """First part of a module's name -> what it may import besides itself."""

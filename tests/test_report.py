@@ -5,14 +5,18 @@ import json
 import re
 
 import numpy as np
+from made_up_posterior import made_up_posterior
 from made_up_track import made_up_track
 
 from august_jax.app import report
+from august_jax.scene import WorldCloud
+from august_jax.schemes import Answer
+from august_jax.schemes.matched_field import Found, Search
 
 SCORES = {"slots": [{"slot": 0, "note": "</script><b>"}], "schemes": [{"scheme": "august", "mpe_m": 0.1, "mde": None}]}
 
 
-def write(path, track, scores=SCORES, title="made up"):
+def write(path, track, scores=SCORES, title="made up", **rest):
     report.write_report(
         path,
         track,
@@ -24,6 +28,7 @@ def write(path, track, scores=SCORES, title="made up"):
         following=[("august demo", "again")],
         permittivity=(1.5, 5.0),
         conductivity=(1e-3, 1e-2),
+        **rest,
     )
     return path.read_text()
 
@@ -43,6 +48,20 @@ def test_clouds_come_back_from_the_page(tmp_path):
     np.testing.assert_allclose(
         1.5 + 3.5 * levels / 255, np.clip(track.point_permittivity[0], 1.5, 5.0), atol=0.51 * 3.5 / 255
     )
+
+
+def test_hypotheses_of_a_search_come_back_from_the_page(tmp_path):
+    track = made_up_track(2)
+    clouds = tuple(WorldCloud(track.resampled[1] + shift, np.ones(400), np.ones(400)) for shift in (0.0, 0.1))
+    search = Search(("quad_x",), 0, (Found(1, made_up_posterior(track.position[1]), Answer(), clouds),))
+    scores = {"slots": [{"slot": 0, "search": None}, {"slot": 1, "search": {}}], "schemes": []}
+    first, second = payload(write(tmp_path / "report.html", track, scores, search=search))["slots"]
+    assert first["hypothesis_points"] == []
+    for text, cloud in zip(second["hypothesis_points"], clouds, strict=True):
+        steps = np.frombuffer(base64.b64decode(text), "<i2").reshape(-1, 3)
+        np.testing.assert_allclose(
+            steps * report.QUANTUM_M + track.position[1], cloud.points, atol=0.51 * report.QUANTUM_M
+        )
 
 
 def test_page_needs_nothing_from_elsewhere(tmp_path):

@@ -12,6 +12,8 @@ from august_jax.signal import Coefficients
 
 CONFIG = preset("smoke")
 COUNT, POINTS = 4, 60
+QUICK = [name for name, scheme in SCHEMES.items() if not scheme.slow]
+"""The one that searches has a test file of its own."""
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +36,7 @@ def slots():
     return Slots(predicted, np.full(COUNT, 20.0, np.float32), Coefficients(values, predicted), truth)
 
 
-@pytest.mark.parametrize("name", list(SCHEMES))
+@pytest.mark.parametrize("name", QUICK)
 def test_every_scheme_answers_every_slot_under_its_own_name(name, setting, slots):
     scheme = SCHEMES[name]
     assert scheme.name == name and scheme.label
@@ -52,7 +54,7 @@ def test_every_scheme_answers_every_slot_under_its_own_name(name, setting, slots
         assert np.isfinite(answer.cloud.points).all()
 
 
-@pytest.mark.parametrize("name", list(SCHEMES))
+@pytest.mark.parametrize("name", QUICK)
 def test_every_scheme_repeats_itself_for_the_same_key(name, setting, slots):
     ask = SCHEMES[name].prepare(setting)
     first, second = (ask(jax.random.key(2), slots) for _ in range(2))
@@ -67,7 +69,7 @@ def test_a_scheme_without_ears_answers_in_silence(name, setting, slots):
     jax.tree.map(np.testing.assert_array_equal, silent, SCHEMES[name].prepare(setting)(jax.random.key(2), slots))
 
 
-@pytest.mark.parametrize("name", [name for name, scheme in SCHEMES.items() if scheme.hears])
+@pytest.mark.parametrize("name", [name for name in QUICK if SCHEMES[name].hears])
 def test_a_scheme_with_ears_hears(name, setting, slots):
     ask = SCHEMES[name].prepare(setting)
     other = slots._replace(heard=slots.heard._replace(values=slots.heard.values[::-1]))

@@ -27,7 +27,7 @@ def test_the_loop_predicts_from_what_was_found(name):
     predictor = PREDICTORS[name].for_flight(FlightConfig(slot_s=0.2))
     asked = []
 
-    def locate(key, heard, predicted, snr_db):
+    def locate(key, heard, predicted, snr_db, statistics):
         # the true place that lies next to where it is told to look: 0.3 m against 0.23 m a slot, half a metre at most
         place = true[jnp.argmin(jnp.sum((true - predicted) ** 2, axis=-1) + 0 * snr_db)]
         asked.append(heard)

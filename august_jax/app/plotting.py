@@ -26,6 +26,7 @@ SOFT, LINE = "#5c6b78", "#dfe5ea"
 MODEL, TRUTH, BASE = "#0a6ebd", "#3a4652", "#c8641b"
 STYLES: dict[str, dict[str, Any]] = {
     "august": {"color": MODEL, "marker": "o", "lw": 2.0, "ms": 5},
+    "matched_field": {"color": "#6a3fb5", "marker": "D", "lw": 2.0, "ms": 4},
     "prediction": {"color": BASE, "ls": "--"},
     "up": {"color": "#a63d7b", "ls": "--"},
     "mean_shape": {"color": "#8a6d1d", "ls": "--"},
@@ -138,6 +139,11 @@ def evaluation_curves(rows: Sequence[Mapping[str, Any]], png: str | Path, *, tit
     )
     figure = new_figure(11.0, 7.4)
     schemes = list(dict.fromkeys(row["scheme"] for row in rows))
+    most = max(row["count"] for row in rows)
+    labels = {scheme: SCHEMES[scheme].label if scheme in SCHEMES else scheme for scheme in schemes}
+    for row in rows:
+        if row["count"] < most:
+            labels[row["scheme"]] = f"{labels[row['scheme']].partition(',')[0]}, {row['count']} samples"
     for index, (metric, label, logarithmic) in enumerate(panels):
         axes = figure.add_subplot(2, 2, index + 1)
         for scheme in schemes:
@@ -145,7 +151,7 @@ def evaluation_curves(rows: Sequence[Mapping[str, Any]], png: str | Path, *, tit
             if pairs:
                 axes.plot(
                     *np.array(sorted(pairs.items())).T,
-                    label=SCHEMES[scheme].label if scheme in SCHEMES else scheme,
+                    label=labels[scheme],
                     **{"lw": 1.6, **STYLES.get(scheme, {"marker": "s", "ms": 4})},
                 )
         column = {"mpe_m": "bound_m", "mde": "bound_mde"}.get(metric)

@@ -20,6 +20,7 @@ import numpy as np
 from august_jax.files import write_text
 
 if TYPE_CHECKING:
+    from august_jax.schemes.matched_field import Search
     from august_jax.tracking import Track
 
 QUANTUM_M = 1e-4
@@ -38,6 +39,7 @@ def write_report(
     following: Sequence[tuple[str, str]],
     permittivity: tuple[float, float],
     conductivity: tuple[float, float],
+    search: Search | None = None,
 ) -> None:
     """Write the report of ``track``.
 
@@ -49,7 +51,9 @@ def write_report(
         setup: pairs of name and value that say how the clouds were made.
         following: pairs of a command and what it does.
         permittivity, conductivity: ranges of the colour scale, [1] and [S/m].
+        search: of some slots among known craft, as the scores tell it.
     """
+    searched = {} if search is None else {found.slot: found for found in search.found}
     ranges = {"permittivity": list(permittivity), "conductivity": list(conductivity)}
     about = track.position[:, None, :]
     truth, cloud = track.truth - about, track.points - about
@@ -75,6 +79,11 @@ def write_report(
                 "points": _coordinates(cloud[index]),
                 "point_permittivity": _levels(track.point_permittivity[index], permittivity),
                 "point_conductivity": _levels(track.point_conductivity[index], conductivity),
+                "hypothesis_points": [
+                    _coordinates(each.points - track.position[index]) for each in searched[index].clouds
+                ]
+                if index in searched
+                else [],
             }
             for index, slot in enumerate(scores["slots"])
         ],

@@ -102,7 +102,7 @@ def _smoke(laptop: Config) -> Config:
             steps=20,
         ),
         train=replace(laptop.train, steps=20, batch=16, points=16, log_every=5, save_every=10),
-        evaluate=EvaluateConfig(snr_db=(10.0, 30.0), count=8, sampler_steps=4),
+        evaluate=EvaluateConfig(snr_db=(10.0, 30.0), count=8, sampler_steps=4, searched=4),
     )
 
 
@@ -115,7 +115,7 @@ PRESETS: dict[str, Preset] = {
         summary="for tests: every part of the path, none of it good",
         build=lambda: _smoke(_laptop()),
         command=_command("smoke", "august_runs/smoke --seed 1"),
-        time="about a minute on two CPU cores, most of it compiling",
+        time="about four minutes on two CPU cores, most of it compiling the search (evaluate.searched=0: one)",
         expected="none: twenty steps learn nothing",
     ),
     "laptop": Preset(

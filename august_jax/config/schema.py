@@ -281,6 +281,9 @@ class EvaluateConfig(Section):
     """``dpm`` (DPM-Solver++ 2M) or ``ancestral``."""
     sampler_steps: Annotated[int, within(1, 1_000_000)] = 10
     """Steps of the sampler ``dpm``."""
+    searched: Annotated[int, within(0, 1_000_000)] = 20
+    """Samples at each SNR that a search among the known craft answers, too, which takes seconds each (at most
+    ``evaluate.count``); 0 leaves it out. Only with bodies, of ``data.solver`` ``mom`` or ``table``."""
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,7 @@ from jaxtyping import Complex, Float, Int
 
 from august_jax.arrays import Array
 from august_jax.signal.roi import Coefficients
+from august_jax.signal.station import Statistics
 
 
 class Observed(NamedTuple):
@@ -104,6 +105,7 @@ class Batch(NamedTuple):
         coefficients: of H_est about q_pre, values (B, F, K, K).
         reference_channel: what the scheme ``refchannel`` learns from: channels at the reference place, in the form of
             what is heard.
+        statistics: all that the echoes say, for who searches for what explains them; None where nobody asked.
     """
 
     predicted: Float[Array, "batch 3"]
@@ -112,6 +114,7 @@ class Batch(NamedTuple):
     estimated_channel: Complex[Array, "batch tones antennas antennas"] | None = None
     coefficients: Coefficients | None = None
     reference_channel: Complex[Array, "batch tones antennas antennas"] | Coefficients | None = None
+    statistics: Statistics | None = None
 
     @classmethod
     def of(

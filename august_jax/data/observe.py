@@ -33,8 +33,10 @@ def draw_level(key: jax.Array, config: Config) -> dict[str, jax.Array]:
     return {name: jax.random.uniform(key, minval=low, maxval=high)}
 
 
-@partial(jax.jit, static_argnames="config")
-def observed_anew(key: jax.Array, samples: Sample, config: Config, snr_db: ArrayLike | None = None) -> Batch:
+@partial(jax.jit, static_argnames=("config", "statistics"))
+def observed_anew(
+    key: jax.Array, samples: Sample, config: Config, snr_db: ArrayLike | None = None, *, statistics: bool = False
+) -> Batch:
     """The networks' batch of true channels under new predictions, SNRs, pilots and noise.
 
     Args:
@@ -42,6 +44,7 @@ def observed_anew(key: jax.Array, samples: Sample, config: Config, snr_db: Array
         samples: n of them; what they hold as observed is not looked at.
         config: static.
         snr_db: () or None; None draws the level as the configuration says.
+        statistics: static; whether the batch holds what the echoes say beside what networks are told of them.
     """
 
     def one(key: jax.Array, packed: jax.Array, position: jax.Array):
@@ -49,11 +52,11 @@ def observed_anew(key: jax.Array, samples: Sample, config: Config, snr_db: Array
         predicted = draw_prediction(predicted_key, position, config)
         level = draw_level(level_key, config) if snr_db is None else {"snr_db": snr_db}
         seen = observe_for(config, echo_key, unpack(packed), predicted, **level)
-        return predicted, seen.snr_estimate_db, seen.heard
+        return predicted, seen.snr_estimate_db, seen.heard, seen.statistics if statistics else None
 
     keys = jax.random.split(key, samples.rows)
-    predicted, level, heard = jax.vmap(one)(keys, samples.true_channel, samples.position)
-    return _batch(samples, predicted, level, heard, config)
+    predicted, level, heard, said = jax.vmap(one)(keys, samples.true_channel, samples.position)
+    return _batch(samples, predicted, level, heard, config)._replace(statistics=said)
 
 
 def as_observed(samples: Sample, config: Config) -> Batch:

@@ -18,10 +18,11 @@ from flax import nnx
 
 from august_jax import streams
 from august_jax.config import Config
-from august_jax.data import Dataset, Sample, batch_of, generate, observed_anew, prepare_targets
+from august_jax.data import Dataset, Sample, Target, batch_of, generate, observed_anew, prepare_targets
 from august_jax.evaluation import metrics
 from august_jax.evaluation.bound import Bound
 from august_jax.evaluation.score import Row, score
+from august_jax.inference import Library, known_craft
 from august_jax.models import Networks, State, reconstruct
 from august_jax.progress import Progress, silent
 from august_jax.scene.airframes import Airframe
@@ -31,6 +32,8 @@ from august_jax.schemes import SCHEMES, Answer, Ask, Setting, Slots, Truth
 
 _PIECE = 50
 """Slots answered together."""
+_PATIENCE_S = 5.0
+"""Without a line of progress."""
 
 
 @streams.pin
@@ -45,6 +48,9 @@ def evaluate(networks: Networks, config: Config, *, seed: int, progress: Progres
     (:mod:`august_jax.evaluation.bound`). For the estimator ``dft``, whose pilots get the power but not the SNR, neither
     is known.
 
+    A search among the known craft, ``matched_field``, takes seconds a slot and answers the first ``evaluate.searched``
+    samples alone, by the same simulator that made them: it is never told of a craft that it does not know.
+
     Returns:
         For each SNR and scheme (:data:`august_jax.schemes.SCHEMES`) a row ``scheme``, ``label``, ``snr_db``, the
         metrics of :func:`~august_jax.evaluation.score.score`, ``count``, ``bound_m`` [m] and ``bound_mde``; None where
@@ -58,11 +64,13 @@ def evaluate(networks: Networks, config: Config, *, seed: int, progress: Progres
     samples = generate(fresh, numbers * slots + numbers % slots, targets, seed=seed, domain="evaluate")
     airframes = [target.airframe for target in targets]
     resampled = _resampled(streams.key(seed, "evaluate.resampling"), samples, airframes, config.target.points)
-    truth = Truth(samples.position, samples.rotation[:, :, 2], samples.points + samples.position[:, None], resampled)
+    clouds = samples.points + samples.position[:, None]
+    truth = Truth(samples.position, samples.rotation[:, :, 2], clouds, resampled, samples.airframe)
+    library = _library(config, targets, progress)
     root = streams.key(seed, "evaluate.answer")
     asks: dict[str, Ask] = {}
     for name, scheme in SCHEMES.items():
-        ask = scheme.prepare(Setting(config, networks, airframes, streams.named(root, name)))
+        ask = scheme.prepare(Setting(config, networks, airframes, streams.named(root, name), library))
         if ask is not None:
             asks[name] = ask
     seen_key = streams.key(seed, "evaluate.observation")
@@ -71,16 +79,21 @@ def evaluate(networks: Networks, config: Config, *, seed: int, progress: Progres
     bound = None
     began, levels = time.monotonic(), config.evaluate.snr_db
     for done, snr_db in enumerate(levels, 1):
-        batch = observed_anew(seen_key, samples, config, snr_db)
+        batch = observed_anew(seen_key, samples, config, snr_db, statistics=True)
         if bound is None:  # predictions are the same at any SNR
             progress("bounding what any estimator could do")
             bound = Bound(samples, batch.predicted, targets, config)
-        asked = Slots(batch.predicted, batch.snr_db, batch.heard, truth)
+        asked = Slots(batch.predicted, batch.snr_db, batch.heard, truth, batch.statistics)
         for name, ask in asks.items():
-            scored = deaf.get(name)
+            scored, slow = deaf.get(name), SCHEMES[name].slow
+            those = asked.at(slice(0, config.evaluate.searched)) if slow else asked
             if scored is None:
-                answer = _in_pieces(ask, jax.random.fold_in(streams.named(root, name), 1), asked)
-                scored = score(answer, truth, config.target.half_wheelbase_m)
+                if slow and done == 1:
+                    progress(f"{name} answers {those.slots} slots at each SNR; before the first one it is compiled")
+                key, where = jax.random.fold_in(streams.named(root, name), 1), f"SNR {snr_db:g} dB, {name}"
+                answer = _in_pieces(ask, key, those, 1 if slow else _PIECE, where, progress)
+                assert those.truth is not None
+                scored = score(answer, those.truth, config.target.half_wheelbase_m)
                 if not SCHEMES[name].hears:
                     deaf[name] = scored
             rows.append(
@@ -89,7 +102,7 @@ def evaluate(networks: Networks, config: Config, *, seed: int, progress: Progres
                     "label": SCHEMES[name].label,
                     "snr_db": snr_db,
                     **scored,
-                    "count": count,
+                    "count": those.slots,
                     **bound.at(snr_db),
                 }
             )
@@ -102,12 +115,29 @@ def evaluate(networks: Networks, config: Config, *, seed: int, progress: Progres
     return rows
 
 
-def _in_pieces(ask: Ask, key: jax.Array, slots: Slots) -> Answer:
-    answers = [
-        ask(jax.random.fold_in(key, start), slots.at(slice(start, start + _PIECE)))
-        for start in range(0, slots.slots, _PIECE)
-    ]
+def _in_pieces(ask: Ask, key: jax.Array, slots: Slots, together: int, where: str, progress: Progress) -> Answer:
+    """The answer to all slots, asked about ``together`` of them at a time."""
+    answers: list[Answer] = []
+    before = told = time.monotonic()
+    for start in range(0, slots.slots, together):
+        answers.append(ask(jax.random.fold_in(key, start), slots.at(slice(start, start + together))))
+        now, done = time.monotonic(), min(start + together, slots.slots)
+        if now - told > _PATIENCE_S and done < slots.slots:
+            told = now
+            left = (now - before) * (slots.slots - done) / together  # by the last ones: the first compile
+            progress(f"{where}: {done} of {slots.slots} slots, {left:.0f} s left")
+        before = now
     return jax.tree.map(lambda *parts: jnp.concatenate(parts), *answers)
+
+
+def _library(config: Config, targets: Sequence[Target], progress: Progress) -> Library | None:
+    """The configuration's own craft to search among; None where nobody searches, or there are no bodies."""
+    if not config.evaluate.searched or config.data.dense_solver != "mom":
+        return None
+    try:
+        return known_craft(config, targets, progress=progress)
+    except ValueError as error:
+        raise ValueError(f"{error}; evaluate.searched=0 leaves the search out") from None
 
 
 def _resampled(key: jax.Array, samples: Sample, airframes: Sequence[Airframe], count: int) -> jax.Array:

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
 from august_jax import streams
 from august_jax.config import Config
-from august_jax.evaluation import metrics
+from august_jax.evaluation import calibration, metrics
 from august_jax.scene.airframes import resolve_airframe
 from august_jax.scene.cloud import WorldCloud
 from august_jax.schemes import SCHEMES, Answer, Setting, Slots, Truth
+from august_jax.schemes.matched_field import Found, Search
 from august_jax.tracking import Track, cloud_normals
 
 Row = dict[str, Any]
@@ -37,11 +40,15 @@ def score(answer: Answer, truth: Truth, size_m: float) -> dict[str, float | None
     Returns:
         ``mpe_m`` [m] and its standard error ``mpe_se_m`` [m] (None for one sample), ``mde``, ``mde_triples``, ``wd_db``
         and ``mcd_db`` [dB re 1 m^2], ``wd_size_db`` [dB]; ``along_m`` and ``across_m``, the position's
-        root-mean-square error along the line of sight and across it [m].
+        root-mean-square error along the line of sight and across it [m]; ``craft_accuracy``, the share of slots whose
+        craft is named, and ``craft_chance``, that of guessing; ``explained``, the share of slots in which a known craft
+        explains the echo; ``inside_50`` and ``inside_90``, how often the truth lies in the credible regions of these
+        probabilities, of the slots for which there is one; ``seconds``, the median time of a slot [s].
     """
     values: dict[str, float | None] = dict.fromkeys(
-        ("mpe_m", "mpe_se_m", "mde", "mde_triples", "wd_db", "wd_size_db", "mcd_db", "along_m", "across_m")
-    )
+        ("mpe_m", "mpe_se_m", "mde", "mde_triples", "wd_db", "wd_size_db", "mcd_db", "along_m", "across_m",
+         "craft_accuracy", "craft_chance", "explained", "inside_50", "inside_90", "seconds")
+    )  # fmt: skip
     if answer.position is not None:
         values["mpe_m"] = float(metrics.mpe_m(answer.position, truth.position))
         errors = np.linalg.norm(np.asarray(answer.position) - truth.position, axis=-1)
@@ -64,10 +71,32 @@ def score(answer: Answer, truth: Truth, size_m: float) -> dict[str, float | None
             "wd_size_db": wd_db - float(20.0 * np.log10(size_m)),
             "mcd_db": float(metrics.mcd_db(answer.cloud.points, truth.cloud)),
         }
+    if answer.craft is not None and truth.craft is not None:
+        values["craft_accuracy"] = float(np.mean(np.asarray(answer.craft) == np.asarray(truth.craft)))
+        if answer.craft_probability is not None:
+            values["craft_chance"] = 1.0 / answer.craft_probability.shape[1]
+    if answer.explained is not None:
+        values["explained"] = float(np.mean(answer.explained))
+    if answer.samples is not None:
+        samples = np.asarray(answer.samples, np.float64)
+        alike = np.full(samples.shape[1], 1.0 / samples.shape[1])
+        levels = np.array(
+            [
+                calibration.position_level(each, alike, true)
+                for each, true in zip(samples, np.asarray(truth.position), strict=True)
+                if np.isfinite(each).all()
+            ]
+        )
+        if len(levels):
+            values |= {f"inside_{share:.0f}": calibration.coverage(levels, share / 100.0)[0] for share in (50, 90)}
+    if answer.seconds is not None:
+        values["seconds"] = float(np.median(answer.seconds))
     return values
 
 
-def score_track(track: Track, config: Config, size_m: float, *, seed: int = 0) -> dict[str, list[Row]]:
+def score_track(
+    track: Track, config: Config, size_m: float, *, seed: int = 0, search: Search | None = None
+) -> dict[str, list[Row]]:
     """Errors of a track, slot by slot and on average, beside the baselines.
 
     Where a mesh that the networks were trained on is not there any more, a warning says so and ``mean_shape`` is left
@@ -78,13 +107,19 @@ def score_track(track: Track, config: Config, size_m: float, *, seed: int = 0) -
         config: of the networks.
         size_m: half-wheelbase of the craft [m].
         seed: of what the baselines draw.
+        search: of some of its slots among known craft.
 
     Returns:
         ``slots``: one entry a slot, plain numbers and lists: ``slot``, ``time_s``, ``snr_db``; ``position``,
         ``predicted``, ``estimate`` [m]; ``normal``, ``normal_estimate``; ``tilt_deg``, ``tilt_estimate_deg``;
         ``permittivity``, ``conductivity`` [S/m] and their estimates, the clouds' means; ``position_error_m``,
         ``predicted_error_m``, ``normal_error_deg``, and ``normal_error_up_deg``, that of answering a level craft.
-        ``schemes``: one row a scheme: ``scheme``, ``label`` and the metrics over all slots.
+        With a search also ``search``, None where the slot was not searched, else ``craft`` (its name, None where no
+        known one explains the echo), ``craft_probability`` by name, ``explained``, ``probability`` (that noise leaves
+        as much), ``position`` [m], ``normal``, and ``hypotheses``, most probable first: ``craft``, ``probability``,
+        ``position``, ``normal``, ``heading_deg`` of the nose about z from x, ``permittivity``, ``conductivity``.
+        ``schemes``: one row a scheme: ``scheme``, ``label`` and the metrics over all slots, for ``matched_field`` over
+        those that were searched, whose number is ``count``.
     """
     # about the true positions: single precision keeps the digits of a centimetre better there than in the world
     origin = track.position[:, None]
@@ -104,17 +139,62 @@ def score_track(track: Track, config: Config, size_m: float, *, seed: int = 0) -
     except ValueError as error:
         warnings.warn(f"no mean_shape to compare with, of the airframes that the weights know: {error}", stacklevel=2)
         airframes = None
+    if search is not None and search.found:
+        answers["matched_field"] = _about(search, track)
     setting = Setting(config, None, airframes, streams.named(root, "prepared"))
     slots = Slots(track.predicted - track.position, None, None, truth)
     for name, scheme in SCHEMES.items():
         ask = None if scheme.hears else scheme.prepare(setting)
         if ask is not None:
             answers[name] = ask(streams.named(root, name), slots)
-    rows = [
-        {"scheme": name, "label": SCHEMES[name].label, **score(answer, truth, size_m)}
-        for name, answer in answers.items()
-    ]
-    return {"slots": [_slot(track, number) for number in range(track.slots)], "schemes": rows}
+    rows = []
+    for name, answer in answers.items():
+        these = truth
+        if name == "matched_field" and search is not None:
+            chosen = np.array([found.slot for found in search.found])
+            craft = None if search.craft is None else np.full(len(chosen), search.craft)
+            these = jax.tree.map(lambda part, rows=chosen: part[rows], truth)._replace(craft=craft)
+        row = {"scheme": name, "label": SCHEMES[name].label, **score(answer, these, size_m)}
+        rows.append(row | {"count": len(these.position)})
+    told = [_slot(track, number) for number in range(track.slots)]
+    if search is not None:
+        by_slot = {found.slot: _searched(found, search.names) for found in search.found}
+        told = [slot | {"search": by_slot.get(slot["slot"])} for slot in told]
+    return {"slots": told, "schemes": rows}
+
+
+def _about(search: Search, track: Track) -> Answer:
+    """A search's answers about the true positions, as the others of a track are."""
+    whole = jax.tree.map(lambda *parts: np.concatenate(parts), *(found.answer for found in search.found))
+    true = track.position[[found.slot for found in search.found]]
+    cloud = whole.cloud._replace(points=whole.cloud.points - true[:, None])
+    return whole._replace(position=whole.position - true, samples=whole.samples - true[:, None], cloud=cloud)
+
+
+def _searched(found: Found, names: Sequence[str]) -> Row:
+    posterior, answer = found.posterior, found.answer
+    assert answer.craft is not None and answer.position is not None and answer.normal is not None
+    these, craft = posterior.hypotheses, int(answer.craft[0])
+    return {
+        "craft": None if craft < 0 else names[craft],
+        "craft_probability": dict(zip(names, map(float, posterior.craft_probability), strict=True)),
+        "explained": bool(posterior.explained),
+        "probability": float(posterior.probability),
+        "position": np.asarray(answer.position[0], float).tolist(),
+        "normal": np.asarray(answer.normal[0], float).tolist(),
+        "hypotheses": [
+            {
+                "craft": names[int(these.craft[number])],
+                "probability": float(these.weight[number]),
+                "position": np.asarray(these.position[number], float).tolist(),
+                "normal": np.asarray(these.rotation[number, :, 2], float).tolist(),
+                "heading_deg": float(np.degrees(np.arctan2(*these.rotation[number, 1::-1, 0]))),
+                "permittivity": float(these.permittivity[number]),
+                "conductivity": float(these.conductivity[number]),
+            }
+            for number in range(len(found.clouds))
+        ],
+    }
 
 
 def _slot(track: Track, slot: int) -> Row:

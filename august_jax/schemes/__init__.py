@@ -5,9 +5,12 @@ Evaluation loops over :data:`SCHEMES`, in this order.
 
 from august_jax.schemes.answer import Answer, Ask, Scheme, Setting, Slots, Truth
 from august_jax.schemes.baselines import MEAN_SHAPE, PREDICTION, RESAMPLING, UP, mean_shape
+from august_jax.schemes.matched_field import MATCHED_FIELD
 from august_jax.schemes.networks import AUGUST
 
-SCHEMES: dict[str, Scheme] = {scheme.name: scheme for scheme in (AUGUST, PREDICTION, UP, MEAN_SHAPE, RESAMPLING)}
+SCHEMES: dict[str, Scheme] = {
+    scheme.name: scheme for scheme in (AUGUST, MATCHED_FIELD, PREDICTION, UP, MEAN_SHAPE, RESAMPLING)
+}
 """The schemes by name."""
 
 __all__ = ["SCHEMES", "Answer", "Ask", "Scheme", "Setting", "Slots", "Truth", "mean_shape"]

@@ -11,14 +11,16 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import jax
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 
 from august_jax.arrays import Array
 from august_jax.config import Config
+from august_jax.inference import Library
 from august_jax.models import Networks
 from august_jax.scene.airframes import Airframe
 from august_jax.scene.cloud import WorldCloud
 from august_jax.signal.roi import Coefficients
+from august_jax.signal.station import Statistics
 
 
 class Truth(NamedTuple):
@@ -29,12 +31,14 @@ class Truth(NamedTuple):
         normal: unit normals of the rotor plane (B, 3).
         cloud: points of the true surface (B, M, 3) [m].
         resampled: the surface sampled a second time (B, M, 3) [m].
+        craft: which of the known craft it is (B,); None where it need not be one of them.
     """
 
     position: Float[Array, "batch 3"]
     normal: Float[Array, "batch 3"]
     cloud: Float[Array, "batch points 3"]
     resampled: Float[Array, "batch points 3"]
+    craft: Int[Array, " batch"] | None = None
 
 
 class Slots(NamedTuple):
@@ -46,12 +50,15 @@ class Slots(NamedTuple):
         heard: estimated channels or coefficients; None where only schemes without ears are asked.
         truth: what they are measured against; only ``resampling``, the floor, answers from it. None where nothing is
             measured.
+        statistics: all that the echoes say, for who compares them with what craft would send back; None where only
+            schemes are asked that do not.
     """
 
     predicted: Float[Array, "batch 3"]
     snr_db: Float[Array, " batch"] | None
     heard: Array | Coefficients | None
     truth: Truth | None
+    statistics: Statistics | None = None
 
     @property
     def slots(self) -> int:
@@ -72,6 +79,11 @@ class Answer(NamedTuple):
         triple_normal: the same by the paper's method, the mean of random triples (B, 3).
         cloud: points (B, M, 3) [m] and their materials (B, M).
         centre: where a cloud lies that comes without a position of its own (B, 3) [m].
+        samples: positions that are equally probable by what is known (B, n, 3) [m]; NaN in slots of which none is said.
+        craft: which of the known craft (B,), -1 where it is none of them.
+        craft_probability: of each known craft, if it is one of them (B, C).
+        explained: whether a known craft leaves no more of the echo than noise would (B,).
+        seconds: that the answer took (B,) [s].
     """
 
     position: Float[Array, "batch 3"] | None = None
@@ -79,6 +91,11 @@ class Answer(NamedTuple):
     triple_normal: Float[Array, "batch 3"] | None = None
     cloud: WorldCloud | None = None
     centre: Float[Array, "batch 3"] | None = None
+    samples: Float[Array, "batch samples 3"] | None = None
+    craft: Int[Array, " batch"] | None = None
+    craft_probability: Float[Array, "batch crafts"] | None = None
+    explained: Bool[Array, " batch"] | None = None
+    seconds: Float[Array, " batch"] | None = None
 
 
 class Setting(NamedTuple):
@@ -89,12 +106,14 @@ class Setting(NamedTuple):
         networks: trained; None where only schemes without networks are asked.
         airframes: those that the configuration knows; None where they cannot be had.
         key: of what is drawn once.
+        library: of known craft, to search among; None where there is none.
     """
 
     config: Config
     networks: Networks | None
     airframes: Sequence[Airframe] | None
     key: jax.Array
+    library: Library | None = None
 
 
 Ask = Callable[[jax.Array, Slots], Answer]
@@ -112,9 +131,11 @@ class Scheme:
         prepare: a setting -> what answers; None where the setting lacks what the scheme needs.
         hears: its answer depends on what is heard; where not, one answer serves all SNRs, and it may be asked in
             silence (``heard`` None).
+        slow: it takes seconds a slot, so that an evaluation asks it about ``evaluate.searched`` slots and no more.
     """
 
     name: str
     label: str
     prepare: Callable[[Setting], Ask | None]
     hears: bool
+    slow: bool = False

@@ -12,7 +12,7 @@ from jaxtyping import Complex, Float
 from august_jax.arrays import Array, ArrayLike
 from august_jax.config import Config
 from august_jax.signal.roi import Coefficients
-from august_jax.signal.station import observe_for
+from august_jax.signal.station import Statistics, observe_for
 from august_jax.tracking.predictors import Predictor
 
 DETECTED_SLOTS = 3
@@ -28,16 +28,18 @@ class Located(Protocol):
         """(3,) [m], or (T, 3) of T slots."""
 
 
-Locate = Callable[[jax.Array, Array | Coefficients, jax.Array, jax.Array], Located]
-"""(key, what is heard of one slot, q_pre (3,) [m], SNR () [dB]) -> what is found."""
+Locate = Callable[[jax.Array, Array | Coefficients, jax.Array, jax.Array, Statistics], Located]
+"""(key, what is heard of one slot, q_pre (3,) [m], SNR () [dB], all that the echo says) -> what is found."""
 
 
 class Followed(NamedTuple):
-    """A loop over T slots: q_pre (T, 3) [m], the realised SNR (T,) [dB], and what was found, with a leading T."""
+    """A loop over T slots: q_pre (T, 3) [m], the realised SNR (T,) [dB], what was found and what the echoes say, with a
+    leading T."""
 
     predicted: Float[Array, "slots 3"]
     snr_db: Float[Array, " slots"]
     found: Located
+    statistics: Statistics
 
 
 def follow(
@@ -67,10 +69,10 @@ def follow(
         predicted = jnp.where(number < DETECTED_SLOTS, detection, expected)
         echo_key, found_key = jax.random.split(jax.random.fold_in(key, number))
         seen = observe_for(config, echo_key, channel, predicted, snr_db=snr_db)
-        found = locate(found_key, seen.heard, predicted, seen.snr_estimate_db)
+        found = locate(found_key, seen.heard, predicted, seen.snr_estimate_db, seen.statistics)
         begun, updated = predictor.start(found.position), predictor.update(predictor.predict(state)[0], found.position)
         state = jax.tree.map(lambda first, later: jnp.where(number == 0, first, later), begun, updated)
-        return state, Followed(predicted, seen.snr_db, found)
+        return state, Followed(predicted, seen.snr_db, found, seen.statistics)
 
     numbers = jnp.arange(channels.shape[0])
     return jax.lax.scan(slot, predictor.start(detected[0]), (numbers, channels, detected))[1]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Complex, Float
 
 
 @dataclass(frozen=True)
@@ -24,6 +24,8 @@ class Track:
         points: reconstructed points (T, M, 3) [m].
         point_permittivity, point_conductivity: their materials (T, M), [1] and [S/m].
         normal_estimate: unit normal of the rotor plane read from each reconstructed cloud (T, 3).
+        received, pilots: all that each echo says about ``predicted`` (T, F, K, K), as
+            :class:`august_jax.signal.Statistics` has it; None where that was not kept.
     """
 
     time_s: Float[np.ndarray, " slots"]
@@ -39,6 +41,8 @@ class Track:
     point_permittivity: Float[np.ndarray, "slots points"]
     point_conductivity: Float[np.ndarray, "slots points"]
     normal_estimate: Float[np.ndarray, "slots 3"]
+    received: Complex[np.ndarray, "slots tones orders orders"] | None = None
+    pilots: Complex[np.ndarray, "slots tones orders orders"] | None = None
 
     @property
     def slots(self) -> int:
@@ -56,5 +60,6 @@ class Track:
         return self.rotation[..., :, 2]
 
     def record(self) -> dict[str, np.ndarray]:
-        """The attributes as a flat mapping of arrays, for files."""
-        return {field.name: np.asarray(getattr(self, field.name)) for field in fields(self)}
+        """The attributes as a flat mapping of arrays, for files; those that were not kept are left out."""
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        return {name: np.asarray(value) for name, value in values.items() if value is not None}

@@ -8,7 +8,7 @@ from typing import Any
 
 from august_jax import config as configuration
 from august_jax.app.cli.common import chosen_weights, folder
-from august_jax.app.cli.messages import UsageError, command_line, note, say, scheme_table
+from august_jax.app.cli.messages import UsageError, command_line, note, say, scheme_table, search_table
 from august_jax.app.cli.parser import Command, whole
 
 
@@ -40,6 +40,9 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
         title=f"{networks.name}, seed {args.seed}, {config.evaluate.count} samples at each SNR",
     )
     say(args, scheme_table(rows, snr=True))
+    searched = search_table(rows)
+    if searched:
+        say(args, f"\n{searched}")
     say(args, f"\n{evaluation.NOTE}\nwritten: {out / 'evaluation.json'}, {out / 'evaluation.png'}")
     return {"out": str(out), **result}
 

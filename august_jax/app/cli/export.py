@@ -59,7 +59,8 @@ def _source(source: Path, index: int) -> tuple[int, dict[str, Any], dict[str, tu
     if (source / "clouds.npz").is_file():
         try:
             stored = read_npz(source / "clouds.npz")
-            whole = {each.name: stored[each.name] for each in dataclasses.fields(Track)}
+            kept = [each for each in dataclasses.fields(Track) if each.name in stored or each.default is not None]
+            whole = {each.name: stored[each.name] for each in kept}
         except DamagedFile as error:
             raise ConfigError(f"SOURCE: {error}; make it again with august demo or august reconstruct") from None
         except KeyError as error:

@@ -176,5 +176,25 @@ def scheme_table(rows: Sequence[dict[str, Any]], *, snr: bool) -> str:
     )
 
 
+def search_table(rows: Sequence[dict[str, Any]]) -> str:
+    """What rows say of searches among known craft, as text; empty where none does."""
+    columns = [
+        ("SNR [dB]", "snr_db", 0),
+        ("slots", "count", 0),
+        ("craft", "craft_accuracy", 2),
+        ("chance", "craft_chance", 2),
+        ("explained", "explained", 2),
+        ("in 50 %", "inside_50", 2),
+        ("in 90 %", "inside_90", 2),
+        ("s/slot", "seconds", 1),
+    ]
+    told = [
+        [row["scheme"], *(_cell(row[name], digits) for _, name, digits in columns)]
+        for row in rows
+        if row["explained"] is not None
+    ]
+    return table([["scheme", *(title for title, _, _ in columns)], *told]) if told else ""
+
+
 def _cell(value: float | None, digits: int) -> str:
     return "-" if value is None else f"{value:.{digits}f}"

@@ -11,10 +11,27 @@ from typing import TYPE_CHECKING, Any
 from august_jax import config as configuration
 from august_jax.app.cli.common import folder
 from august_jax.app.cli.messages import command_line, note, say, scheme_table
+from august_jax.app.cli.parser import whole
 from august_jax.config import Config
 
 if TYPE_CHECKING:
+    from august_jax.inference import Library
     from august_jax.pipeline import Networks, Scenario
+    from august_jax.scene.airframes import Airframe
+    from august_jax.schemes.matched_field import Search
+    from august_jax.tracking import Track
+
+
+def search_argument(parser: argparse.ArgumentParser) -> None:
+    """``--search``, which both commands take."""
+    most = int(configuration.bounds("flight.slots").high)
+    parser.add_argument(
+        "--search",
+        type=whole(0, most),
+        default=0,
+        metavar="N",
+        help="look for the drone among known ones, too, in N slots; takes minutes (default 0)",
+    )
 
 
 def sensed(
@@ -52,7 +69,8 @@ def sensed(
         (command_line("export", str(out), "--format", "mat"), "the clouds for MATLAB"),
     ]
     track = pipeline.sense(networks, config, shot, seed=args.seed, snr_db=args.snr, progress=note)
-    scores = evaluation.score_track(track, config, shot.airframe.half_wheelbase_m)
+    search = _searched(args, config, shot.airframe, track) if args.search else None
+    scores = evaluation.score_track(track, config, shot.airframe.half_wheelbase_m, search=search)
     seconds = time.monotonic() - started
     mean = {row["scheme"]: row for row in scores["schemes"]}
     slots = track.slots
@@ -61,6 +79,15 @@ def sensed(
         f"{100 * mean['august']['mpe_m']:.1f} cm from where it is{' on average' if slots > 1 else ''}; "
         f"the prediction it starts from is {100 * mean['prediction']['mpe_m']:.1f} cm off."
     )
+    if search is not None:
+        named = sum(
+            int(found.answer.craft[0]) == search.craft for found in search.found if found.answer.craft is not None
+        )
+        error = 100 * mean["matched_field"]["mpe_m"]
+        lead += (
+            f" A search among {len(search.names)} known drones puts it {error:.1f} cm off, and names it in {named} of "
+        )
+        lead += f"{len(search.found)} slot{'s' * (len(search.found) > 1)}."
     title = f"{shot.airframe.name} at {args.snr:g} dB, seen by {config.array.count} antennas"
     setup = [
         ("weights", networks.name),
@@ -75,6 +102,7 @@ def sensed(
         ("channel", f"full-wave ({config.data.dense_solver}), {config.signal.estimator} estimate"),
         ("sampler", f"{config.evaluate.sampler}, {_sampler_steps(config)} steps, {config.target.points} points"),
         ("first predictions", f"uniform within {config.region.threshold_m:g} m along each axis, as of a detection"),
+        *([("known drones", ", ".join(search.names))] if search is not None else []),
         ("seed", str(args.seed)),
         ("command", command_line(*args.words)),
         ("computed in", f"{seconds:.0f} s"),
@@ -105,6 +133,7 @@ def sensed(
         note=evaluation.NOTE,
         setup=setup,
         following=following,
+        search=search,
         **span,
     )
     files = ["report.html", f"{command}.png", "cloud.ply", "metrics.json", "config.yaml", "clouds.npz"]
@@ -115,6 +144,36 @@ def sensed(
     for line, why in following[:2]:
         say(args, f"next:  {line}   # {why}")
     return {"out": str(out), "files": files, **metrics}
+
+
+def _searched(args: argparse.Namespace, config: Config, airframe: Airframe, track: Track) -> Search:
+    """A search of the last slot, and of others spread over the flight, ``--search`` in all."""
+    import numpy as np
+
+    from august_jax.schemes.matched_field import search_track
+
+    library, craft = _library(config, airframe)
+    slots = np.unique(np.linspace(track.slots - 1, 0, min(args.search, track.slots)).round().astype(int)).tolist()
+    return search_track(track, library, config, seed=args.seed, slots=slots, craft=craft, progress=note)
+
+
+def _library(config: Config, airframe: Airframe) -> tuple[Library, int]:
+    """The configuration's drones and, if it is none of them, the one that flies; and which of them flies."""
+    from august_jax.data import Target, lattice_of, nearest_distance, prepare_targets
+    from august_jax.inference import known_craft
+    from august_jax.physics import factor_body
+
+    note("preparing the known drones: for the first time that takes minutes")
+    targets = prepare_targets(config, note)
+    own = [row for row, target in enumerate(targets) if target.airframe.digest == airframe.digest]
+    if not own:
+        cells, cell_m = lattice_of(airframe, config.target)
+        note(f"{airframe.name}: {cells.count} cells of {1e3 * cell_m:.3g} mm")
+        body = factor_body(
+            cells, config.array.tones_hz or config.array.frequency_hz, nearest_m=nearest_distance(config)
+        )
+        targets = [*targets, Target(airframe, cells, cell_m, body, airframe.surface)]
+    return known_craft(config, targets, progress=note), own[0] if own else len(targets) - 1
 
 
 def _sampler_steps(config: Config) -> int:
