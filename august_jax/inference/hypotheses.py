@@ -182,17 +182,22 @@ def shared_out(score: Float[np.ndarray, " n"], craft: Int[np.ndarray, " n"], mos
     return np.concatenate([order[first[order]], order[~first[order]]])
 
 
-def distinct(candidates: Candidates, score: Float[Array, " n"], most: int) -> Int[np.ndarray, " m"]:
-    """Rows of the best candidates that differ, best first: another craft, 1 degree, or 0.12 m; no craft takes more than
-    its share of ``most`` while others have any."""
+def distinct(candidates: Candidates, score: Float[np.ndarray, " n"], prior: Prior, most: int) -> Int[np.ndarray, " m"]:
+    """Rows of the best candidates that differ, best first: in craft, or by 1 degree or 0.12 m and two deviations; no
+    craft takes more than its share of ``most`` while others have any."""
     rotation, position = np.asarray(candidates.rotation), np.asarray(candidates.position)
-    craft = np.asarray(candidates.craft)
+    craft, inverse = np.asarray(candidates.craft), np.linalg.inv(covariances(candidates, prior)[:, :6, :6])
     kept: list[int] = []
     for row in shared_out(np.asarray(score), craft, most):
-        trace = np.einsum("nij,ij->n", rotation[kept], rotation[row])
-        near = (craft[kept] == craft[row]) & (trace > 1.0 + 2.0 * np.cos(np.radians(1.0)))
-        near &= np.linalg.norm(position[kept] - position[row], axis=1) < 0.12
-        if not np.any(near):
+        moved = position[row] - position[kept]
+        turn = rotation[row] @ np.swapaxes(rotation[kept], 1, 2)
+        trace = np.trace(turn, axis1=1, axis2=2)
+        near = (trace > 1.0 + 2.0 * np.cos(np.radians(1.0))) & (np.linalg.norm(moved, axis=1) < 0.12)
+        around = 0.5 * (turn - np.swapaxes(turn, 1, 2))[:, [2, 0, 1], [1, 2, 0]]
+        step = np.concatenate([moved, around], axis=1)
+        apart = np.einsum("ni,nij,nj->n", step, inverse[kept], step)
+        near |= (trace > 1.0 + 2.0 * np.cos(np.radians(20.0))) & (apart < 4.0)
+        if not np.any(near & (craft[kept] == craft[row])):
             kept.append(int(row))
         if len(kept) == most:
             break

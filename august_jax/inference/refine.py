@@ -229,7 +229,16 @@ def _step(table, subspace, statistics, prior, now, temperature, body=None):
     slope = now.slope / temperature - precision * departure(now, statistics, prior)
     system = (now.information / temperature + jnp.diag(precision)) * scales * scales[:, None]
     system = system + now.damping * jnp.diag(jnp.diagonal(system))
-    step = scales * _solved(system, scales * slope)
+    wanted = scales * _solved(system, scales * slope)
+    # What would leave its range goes to the end of it, and the rest is solved for again: a step cut short in one number
+    # alone is no descent, and a candidate at the end of a range would never move again.
+    ranges = jnp.stack([prior.permittivity, prior.conductivity])
+    room = ranges - jnp.stack([now.permittivity, now.conductivity])[:, None]
+    held = jnp.clip(wanted[6:8], room[:, 0], room[:, 1])
+    fixed = jnp.zeros(10, bool).at[6:8].set(held != wanted[6:8])
+    given = jnp.where(fixed, jnp.zeros(10).at[6:8].set(held) / scales, 0.0)
+    reduced = jnp.where(fixed | fixed[:, None], jnp.eye(10), system)
+    step = scales * _solved(reduced, jnp.where(fixed, given, scales * slope - system @ given))
     length = jnp.sqrt(jnp.sum(step[3:6] ** 2))
     step = step * jnp.minimum(1.0, 0.2 / jnp.maximum(length, 1e-9))  # a model that is linear for 10 degrees at most
     reach = prior.half_m + _BEYOND_M

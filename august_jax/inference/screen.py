@@ -25,6 +25,7 @@ from jaxtyping import Bool, Complex, Float, Int
 
 from august_jax.arrays import Array
 from august_jax.physics.body.survey import SurveyTable, nearest_directions, surveyed_coefficients
+from august_jax.physics.parameters import rotation_from_vector
 from august_jax.scene.pose import rotation_from_axis_yaw
 from august_jax.signal.roi import Subspace
 from august_jax.signal.station import Statistics
@@ -133,7 +134,7 @@ def screen(
     seen = attitudes[rows[block, row]]
     return Screened(
         craft.astype(np.int32),
-        (seen + np.cross(turn[:, None], seen, axisb=1, axisc=1)).astype(np.float32),
+        np.asarray(jax.vmap(rotation_from_vector)(jnp.asarray(turn, jnp.float32))) @ seen,
         beside[chosen].astype(np.float32),
         np.asarray(gain)[craft, block, row],
         residual[craft, block, row].astype(np.float32),

@@ -74,6 +74,7 @@ def local_coefficients(
     """
     places = jnp.asarray(array.positions, jnp.float32)
     toward = jnp.mean(places, axis=0) - position
+    ahead = -toward / jnp.sqrt(inner(toward, toward))
     which = nearest(table.directions[craft], jax.lax.stop_gradient(toward @ rotation))
     axes = table.axes[craft, which]
     away = position - places
@@ -86,9 +87,9 @@ def local_coefficients(
         elements = jnp.asarray(array.positions[chosen], jnp.float32)
         moments = jnp.asarray(array.moments[chosen], jnp.float32)
 
-        def seen(turn, elements=elements, moments=moments):
+        def seen(change, elements=elements, moments=moments):
             # the elements and their moments in the patch's axes; a turn of the body turns them the other way
-            shifted = elements - position
+            turn, shifted = change[:3], elements - position - change[3] * ahead
 
             def turned(vectors):
                 return (vectors - jnp.cross(turn, vectors)) @ (axes @ rotation.T).T
@@ -104,18 +105,19 @@ def local_coefficients(
             mixed = mixed.reshape(4, 2, size, size)
             response = (mixed[0, 0] - mixed[1, 1], mixed[0, 1] + mixed[1, 0])
             sloped = (mixed[2, 0] - mixed[3, 1], mixed[2, 1] + mixed[3, 0])
-            phi, linear = jax.linearize(seen, jnp.zeros(3, jnp.float32))
-            every = jnp.concatenate([phi[None], jax.vmap(linear)(jnp.eye(3, dtype=jnp.float32))])
-            fields = (every.reshape(-1, every.shape[-1]) @ functions).reshape(4, len(chosen), size)
-            fields = jnp.einsum("kn,anr->akr", narrowed, fields).reshape(4 * len(narrowed), size)
+            phi, linear = jax.linearize(seen, jnp.zeros(4, jnp.float32))
+            every = jnp.concatenate([phi[None], jax.vmap(linear)(jnp.eye(4, dtype=jnp.float32))])
+            fields = (every.reshape(-1, every.shape[-1]) @ functions).reshape(5, len(chosen), size)
+            fields = jnp.einsum("kn,anr->akr", narrowed, fields).reshape(5 * len(narrowed), size)
             own = fields[: len(narrowed)]
             through = own @ jnp.concatenate([*response, *sloped], axis=1)  # K, 4R
             real, imag, slope_real, slope_imag = jnp.split(through, 4, axis=1)
-            sides = fields @ jnp.concatenate([real, imag]).T  # 4K, 2K
+            sides = fields @ jnp.concatenate([real, imag]).T  # 5K, 2K
             k = len(narrowed)
-            sides = jax.lax.complex(sides[:, :k], sides[:, k:]).reshape(4, k, k)
+            sides = jax.lax.complex(sides[:, :k], sides[:, k:]).reshape(5, k, k)
             value = sides[0]
-            turns = sides[1:] + jnp.swapaxes(sides[1:], 1, 2)
+            changed = sides[1:] + jnp.swapaxes(sides[1:], 1, 2)
+            turns, farther = changed[:3], changed[3]
             unit = away / distances[:, None]
             steer = wavenumber(frequency) * jnp.einsum(
                 "nk,ni,nl->ikl", jnp.asarray(basis), unit - jnp.mean(unit, axis=0), jnp.asarray(basis)
@@ -126,6 +128,7 @@ def local_coefficients(
             sight = jnp.cross(toward, jnp.eye(3, dtype=jnp.float32)) / inner(toward, toward)
             weaker = 2.0 * toward / inner(toward, toward)
             shifts = phase + jnp.swapaxes(phase, 1, 2) + jnp.tensordot(sight, turns, 1) + weaker[:, None, None] * value
+            shifts += ahead[:, None, None] * farther  # and narrows as it goes away
             poses = jnp.concatenate([shifts, turns])
             material = jax.lax.complex(slope_real @ own.T, slope_imag @ own.T)
             losses = 1j / (2.0 * np.pi * VACUUM_PERMITTIVITY * frequency)  # of chi in the conductivity
@@ -134,7 +137,7 @@ def local_coefficients(
             weights = interpolation(table.nodes, chi)
             mixed = (jnp.stack([weights.real, weights.imag]) @ nodes.reshape(len(nodes), -1)).reshape(2, 2, size, size)
             response = (mixed[0, 0] - mixed[1, 1], mixed[0, 1] + mixed[1, 0])
-            own = narrowed @ (seen(jnp.zeros(3, jnp.float32)) @ functions)
+            own = narrowed @ (seen(jnp.zeros(4, jnp.float32)) @ functions)
             real, imag = (own @ part for part in response)
             value = jax.lax.complex(real @ own.T, imag @ own.T)
         values.append(value)
