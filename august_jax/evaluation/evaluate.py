@@ -122,9 +122,9 @@ def _in_pieces(ask: Ask, key: jax.Array, slots: Slots, together: int, where: str
     for start in range(0, slots.slots, together):
         answers.append(ask(jax.random.fold_in(key, start), slots.at(slice(start, start + together))))
         now, done = time.monotonic(), min(start + together, slots.slots)
-        if now - told > _PATIENCE_S and done < slots.slots:
+        if start and now - told > _PATIENCE_S and done < slots.slots:  # the first ones compile: they promise nothing
             told = now
-            left = (now - before) * (slots.slots - done) / together  # by the last ones: the first compile
+            left = (now - before) * (slots.slots - done) / together  # by the last ones
             progress(f"{where}: {done} of {slots.slots} slots, {left:.0f} s left")
         before = now
     return jax.tree.map(lambda *parts: jnp.concatenate(parts), *answers)
