@@ -14,15 +14,20 @@ Numbers = dict[str, np.ndarray]
 
 
 def run(
-    description: str | None, name: str, compute: Callable[[bool], Numbers], draw: Callable[[Numbers, Path], None]
+    description: str | None,
+    name: str,
+    compute: Callable[..., Numbers],
+    draw: Callable[[Numbers, Path], None],
+    options: Callable[[argparse.ArgumentParser], None] = lambda parser: None,
 ) -> None:
     """Parse the command line of the experiment ``name`` and do what it says.
 
     Args:
         description: the script's docstring, shown as its help.
         name: file name without ending; numbers go to results/name.npz, the picture to results/name.png.
-        compute: from --small to named arrays.
+        compute: from --small to named arrays; takes what ``options`` adds by name.
         draw: from the arrays and the picture's path to a file.
+        options: adds arguments that this experiment alone has.
     """
     parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("action", choices=("compute", "draw"))
@@ -33,11 +38,14 @@ def run(
         default=Path(__file__).parent / "results" / f"{name}.npz",
         help="the .npz that is written or read (%(default)s)",
     )
+    common = {action.dest for action in parser._actions}
+    options(parser)
     arguments = parser.parse_args()
+    own = {name: value for name, value in vars(arguments).items() if name not in common}
     arguments.results = arguments.results.with_suffix(".npz")
     if arguments.action == "compute":
         arguments.results.parent.mkdir(parents=True, exist_ok=True)  # before the work, which may take long
-        numbers = compute(arguments.small)
+        numbers = compute(arguments.small, **own)
         with replacing(arguments.results) as aside:
             np.savez(aside, **numbers)
         print(f"wrote {arguments.results}\nnext:  python experiments/{name}.py draw --results {arguments.results}")

@@ -78,6 +78,23 @@ def pose_by_gradients(numbers):
     assert np.all(ends[:, near] < 3.0 * numbers["bound_m"])
 
 
+def trust(numbers):
+    """Levels are shares, errors are those of the places told, and about the truth there is noise alone."""
+    same = numbers["world"] == "same"
+    assert same.any() and len(set(zip(numbers["world"], numbers["slot"], numbers["snr_db"]))) == len(same)
+    levels = [name for name in numbers if name.endswith("_level") or name.startswith("rank_")]
+    assert len(levels) == 11 and all(np.all((numbers[name] >= 0.0) & (numbers[name] <= 1.0)) for name in levels)
+    apart = np.linalg.norm(numbers["estimate"] - numbers["position"], axis=-1)
+    assert np.allclose(apart, numbers["error_m"], atol=1e-6)
+    assert np.all((numbers["normal_error"] > -1e-6) & (numbers["effective"] >= 1.0 - 1e-6))
+    assert np.all(numbers["heading_by_arms_deg"] <= numbers["heading_error_deg"] + 1e-3)
+    loudest = same & (numbers["snr_db"] == numbers["snr_db"].max())
+    assert np.mean(numbers["error_m"][loudest]) < np.mean(numbers["prediction_error_m"][loudest])
+    assert np.mean(numbers["searched"][loudest]) > 0.6 and np.mean(numbers["explained"][loudest]) > 0.6
+    half = numbers["degrees"][loudest] / 2.0  # of a chi-square's mean, which is its variance, too, for |N|^2
+    assert np.all(np.abs(numbers["start_residual"][loudest] - half) < 5.0 * np.sqrt(half))
+
+
 def parts_of_a_drone(numbers):
     """Shares sum to one, and a part's removal changes H by no more than its cells' derivatives add up to."""
     cells, part, parts = numbers["cells"], numbers["part"], numbers["parts"]
@@ -95,6 +112,7 @@ LAWS = {
     "link_budget": echo_over_the_box,
     "refine_pose": pose_by_gradients,
     "sensitivity": parts_of_a_drone,
+    "trust": trust,
 }
 """What the numbers of a study must show, whatever the lattice."""
 
