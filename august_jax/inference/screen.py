@@ -15,6 +15,7 @@ in the same way from another place has the same coefficients about that place, b
 from __future__ import annotations
 
 import math
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import NamedTuple
 
@@ -32,6 +33,7 @@ from august_jax.signal.station import Statistics
 
 BLOCK = 32
 """Attitudes of one direction that are looked at together."""
+_BLOCKS = 128
 _ACROSS_M = tuple(0.07 * step for step in range(-6, 7))
 _UPWARD_M = (-0.25, 0.0, 0.25)
 _GOLDEN = math.pi * (3.0 - math.sqrt(5.0))
@@ -115,28 +117,37 @@ def screen(
     beside *= distance / np.linalg.norm(beside, axis=1, keepdims=True)
     direction, rows, real = _blocks(nearest_directions(survey, 0, -sight @ attitudes))
     crafts = survey.directions.shape[0]
-    residual, which, gain = _compared(
-        survey,
-        subspace,
-        statistics,
-        jnp.asarray(place),
-        jnp.asarray(beside, jnp.float32),
-        jnp.asarray(direction),
-        jnp.asarray(attitudes[rows]),
-    )
-    residual = np.where(real, np.asarray(residual), np.inf)
+
+    def compared(piece: slice) -> list[np.ndarray]:
+        found = _compared(
+            survey,
+            subspace,
+            statistics,
+            jnp.asarray(place),
+            jnp.asarray(beside, jnp.float32),
+            jnp.asarray(direction[piece]),
+            jnp.asarray(attitudes[rows[piece]]),
+        )
+        return [np.asarray(leaf) for leaf in found]
+
+    pieces = [slice(start, start + _BLOCKS) for start in range(0, len(direction), _BLOCKS)]
+    with ThreadPoolExecutor(2) as pool:  # small products keep one core busy
+        residual, which, gain = (
+            np.concatenate(parts, axis=1) for parts in zip(*pool.map(compared, pieces), strict=True)
+        )
+    residual = np.where(real, residual, np.inf)
     best = np.argpartition(residual.ravel(), min(keep, residual.size - 1))[:keep]
     best = best[np.argsort(residual.ravel()[best])]
     craft, block, row = np.unravel_index(best, residual.shape)
     assert len(residual) == crafts
-    chosen = np.asarray(which)[craft, block, row]
+    chosen = which[craft, block, row]
     turn = np.cross(sight, beside[chosen] / distance)  # small: the craft is seen from there as it was from here
     seen = attitudes[rows[block, row]]
     return Screened(
         craft.astype(np.int32),
         np.asarray(jax.vmap(rotation_from_vector)(jnp.asarray(turn, jnp.float32))) @ seen,
         beside[chosen].astype(np.float32),
-        np.asarray(gain)[craft, block, row],
+        gain[craft, block, row],
         residual[craft, block, row].astype(np.float32),
     )
 
@@ -153,7 +164,7 @@ def _blocks(
     end = np.repeat(start + count, blocks)[:, None]
     rows = first[:, None] + np.arange(BLOCK)
     real = rows < end
-    spare = -total % 256  # few shapes, few compilations
+    spare = -total % _BLOCKS  # one shape, one compilation
     direction = np.pad(np.repeat(named, blocks), (0, spare)).astype(np.int32)
     rows = np.pad(order[np.minimum(rows, end - 1)], ((0, spare), (0, 0)))
     return direction, rows, np.pad(real, ((0, spare), (0, 0)))
