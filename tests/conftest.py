@@ -7,6 +7,7 @@ annotation does not allow; one that tries how the package itself refuses such a 
 ``unchecked``. Without beartype, and with ``AUGUST_CHECK_TYPES=0``, nothing is checked.
 """
 
+import gc
 import os
 import pkgutil
 import tempfile
@@ -42,3 +43,20 @@ def unchecked():
     config.update("jaxtyping_disable", True)
     yield
     config.update("jaxtyping_disable", before)
+
+
+_MOST_MAPS = 25_000
+"""Mappings of memory that a process may hold before its compiled programs are dropped: each takes several, the system
+gives 65,530, and a compiler that gets no more ends the process."""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few_programs():
+    """Drop compiled programs between modules where there are many: a whole suite's do not fit one process."""
+    yield
+    maps = Path("/proc/self/maps")
+    if maps.exists() and maps.read_bytes().count(b"\n") > _MOST_MAPS:
+        import jax
+
+        jax.clear_caches()
+        gc.collect()
