@@ -13,13 +13,14 @@ from august_jax.data import generate, prepare_targets, unpack
 from august_jax.inference import Prior, find_craft, known_craft, refined
 from august_jax.inference.hypotheses import log_mean_likelihood
 from august_jax.inference.prior import TILT_BINS
-from august_jax.inference.refine import begin, change_of_centre, cost, improved, polished
+from august_jax.inference.refine import begin, cost, improved, polished
 from august_jax.inference.screen import attitude_lattice, moved_statistics, screen
 from august_jax.physics import Parameters, parameter_channel, rotation_from_vector
 from august_jax.physics.body.local import local_coefficients
 from august_jax.physics.body.survey import nearest_directions, surveyed_coefficients
 from august_jax.scene import random_rotation
 from august_jax.signal import Statistics, observe_region, project
+from august_jax.signal.roi import change_of_centre
 
 SMOKE = preset("smoke")
 CONFIG = replace(SMOKE, target=replace(SMOKE.target, permittivity=(1.5, 4.0)))
@@ -197,7 +198,7 @@ def test_moved_statistics_are_those_about_another_place():
     statistics = heard(0, 20.0)
     place = statistics.centre + jnp.asarray([0.1, 0.05, -0.1])
     received, pilots = moved_statistics(statistics, place[None], library().subspace)
-    change = change_of_centre(statistics, place, library().subspace)
+    change = change_of_centre(statistics.centre, place, library().subspace)
     np.testing.assert_allclose(pilots[0], jnp.swapaxes(change, -1, -2) @ statistics.pilots, rtol=1e-3, atol=1e-3)
     kept = jnp.sum(jnp.abs(received[0]) ** 2) / jnp.sum(jnp.abs(statistics.received) ** 2)
     assert 0.9 < kept <= 1.0 + 1e-5
@@ -274,7 +275,7 @@ def _log_likelihood(table, statistics, craft, pose):
 
     def one(each):
         found = local_coefficients(table, known.subspace.array, known.subspace.basis, craft, *each, derivatives=False)
-        change = change_of_centre(statistics, each[1], known.subspace)
+        change = change_of_centre(statistics.centre, each[1], known.subspace)
         model = change @ found.values @ jnp.swapaxes(change, -1, -2) @ statistics.pilots
         energy = jnp.sum(jnp.abs(model) ** 2)
         overlap = jnp.abs(jnp.sum(model.conj() * statistics.received))

@@ -102,7 +102,7 @@ def find_craft(
             found = improved(table, subspace, statistics, prior, found, heat, steps=stage.steps)
             found = _best(found, statistics, prior, heat, stage.kept)
     else:
-        found = improved(table, subspace, statistics, prior, jax.tree.map(jnp.asarray, proposals), 1.0, steps=6)
+        found = improved(table, subspace, statistics, prior, proposals, 1.0, steps=6)
     found = _shaken(library, statistics, prior, found, snr_db)
     clock("refine")
     return _weighed(library, statistics, prior, found, key, level, clock, seconds)
@@ -227,14 +227,14 @@ def _worth(found: Candidates, statistics: Statistics, prior: Prior, heat: float 
 
 def _best(found: Candidates, statistics: Statistics, prior: Prior, heat: float, kept: int) -> Candidates:
     rows = shared_out(_worth(found, statistics, prior, heat), np.asarray(found.craft), kept)[:kept]
-    return jax.tree.map(lambda leaf: np.asarray(leaf)[rows], found)
+    return found.at(rows)
 
 
 def _shaken(library, statistics, prior, found, snr_db):
     """The best few again from around where they are: a valley's floor is seldom reached in one run."""
     rows = distinct(found, _worth(found, statistics, prior), prior, _MODES)
     rows = np.resize(rows, _MODES)
-    best = jax.tree.map(lambda leaf: np.asarray(leaf)[rows], found)
+    best = found.at(rows)
     heat = max(4.0, 10.0 ** ((snr_db - _SHAKEN_SNR_DB) / 10.0))
     hot = best._replace(information=best.information / heat)
     factors = np.linalg.cholesky(covariances(hot, prior)[:, :6, :6] + 1e-12 * np.eye(6))
@@ -258,14 +258,14 @@ def _shaken(library, statistics, prior, found, snr_db):
     )
     moved = improved(library.table, library.subspace, statistics, prior, moved, max(1.0, heat / 30.0), steps=3)
     moved = improved(library.table, library.subspace, statistics, prior, moved, 1.0, steps=8)
-    return jax.tree.map(lambda one, two: jnp.concatenate([jnp.asarray(one), two]), found, moved)
+    return jax.tree.map(lambda one, two: np.concatenate([one, two]), found, moved)
 
 
 def _weighed(library, statistics, prior, found, key, level, clock, seconds):
     from scipy.stats import chi2
 
     rows = distinct(found, _worth(found, statistics, prior), prior, _PARTS)
-    modes = jax.tree.map(lambda leaf: np.asarray(leaf)[rows], found)
+    modes = found.at(rows)
     polished_modes = [
         polished(
             library.body(int(modes.craft[row])),

@@ -18,11 +18,11 @@ from jaxtyping import Complex, Float, Int
 
 from august_jax.arrays import Array, ArrayLike
 from august_jax.inference.prior import Prior
-from august_jax.inference.refine import Candidates, change_of_centre, cost
+from august_jax.inference.refine import Candidates, cost
 from august_jax.physics.body.local import local_coefficients
 from august_jax.physics.body.table import Table
 from august_jax.physics.parameters import rotation_from_vector
-from august_jax.signal.roi import Subspace
+from august_jax.signal.roi import Subspace, change_of_centre
 from august_jax.signal.station import Statistics
 
 _DEGREES = 5.0  # of freedom of the mixture's parts: their tails are wider than a posterior's
@@ -237,7 +237,7 @@ def sampled(
             conductivity,
             derivatives=False,
         )
-        change = change_of_centre(statistics, position, subspace)
+        change = change_of_centre(statistics.centre, position, subspace)
         pilots = jnp.swapaxes(change, -1, -2) @ statistics.pilots
         heard = change @ ((found.values + mixture.correction[part]) @ pilots)
         energy, overlap = jnp.sum(jnp.abs(heard) ** 2), jnp.abs(jnp.sum(heard.conj() * statistics.received))

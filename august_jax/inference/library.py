@@ -86,7 +86,7 @@ def known_craft(
     digests: dict[str, str] = {}
     for target in targets:
         name = target.airframe.name
-        twice = digests.setdefault(target.airframe.digest, name) if target.airframe.digest in digests else None
+        twice = digests.get(target.airframe.digest)
         if twice is not None:
             raise ValueError(f"targets: {name} is in the library twice{'' if twice == name else f', as {twice} too'}")
         digests[target.airframe.digest] = name

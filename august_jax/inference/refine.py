@@ -28,7 +28,7 @@ from august_jax.physics.body import Body
 from august_jax.physics.body.local import local_coefficients
 from august_jax.physics.body.table import Table
 from august_jax.physics.parameters import Parameters, parameter_channel, rotation_from_vector
-from august_jax.signal.roi import Subspace, project
+from august_jax.signal.roi import Subspace, change_of_centre, project
 from august_jax.signal.station import Statistics
 
 _SCALES = np.array([0.1, 0.1, 0.1, 0.05, 0.05, 0.05, 0.5, 2e-3, 0.1, 0.3], np.float32)
@@ -164,11 +164,11 @@ def _begun(table, subspace, statistics, craft, rotation, position, permittivity,
     return jax.lax.map(one, (craft, rotation, position, permittivity, conductivity), batch_size=_TOGETHER)
 
 
-def change_of_centre(
-    statistics: Statistics, place: Float[Array, "3"], subspace: Subspace
-) -> Complex[jax.Array, "tones orders orders"]:
-    """T = U^H U' (F, K, K): coefficients about ``place`` (3,) [m] are T A' T^T about the statistics' own centre."""
-    return jnp.swapaxes(subspace.waves(statistics.centre).conj(), -1, -2) @ subspace.waves(place)
+def _exact(body, subspace, rotation, position, permittivity, conductivity):
+    """The factored body's channel (F, N_b, N_b), the phase e^{2jk|q|} of the place taken out as a table's is."""
+    waves = jnp.exp(-2j * jnp.asarray(subspace.wavenumbers) * jnp.linalg.norm(position))
+    channel = parameter_channel(body, subspace.array, Parameters(), rotation, position, permittivity, conductivity)
+    return channel * waves[:, None, None]
 
 
 def _judged(table, subspace, statistics, pose, damping, body=None):
@@ -180,16 +180,12 @@ def _judged(table, subspace, statistics, pose, damping, body=None):
     found = local_coefficients(
         table, subspace.array, subspace.basis, craft, rotation, position, permittivity, conductivity
     )
-    change = change_of_centre(statistics, position, subspace)
+    change = change_of_centre(statistics.centre, position, subspace)
     pilots = jnp.swapaxes(change, -1, -2) @ statistics.pilots
     if body is None:
         heard = change @ (found.values @ pilots)
     else:
-        waves = jnp.exp(-2j * jnp.asarray(subspace.wavenumbers) * jnp.linalg.norm(position))
-        exact = (
-            parameter_channel(body, subspace.array, Parameters(), rotation, position, permittivity, conductivity)
-            * waves[:, None, None]
-        )
+        exact = _exact(body, subspace, rotation, position, permittivity, conductivity)
         heard = project(exact, statistics.centre, subspace).values @ statistics.pilots
     overlap = jnp.sum(heard.conj() * statistics.received)
     phase = jnp.angle(overlap) if phase is None else phase
@@ -289,6 +285,5 @@ def corrections(
     """What a table leaves out of one candidate's coefficients about its own place (F, K, K): the body's less its."""
     pose = (candidate.rotation, candidate.position, candidate.permittivity, candidate.conductivity)
     own = local_coefficients(table, subspace.array, subspace.basis, candidate.craft, *pose, derivatives=False)
-    exact = parameter_channel(body, subspace.array, Parameters(), *pose)
-    waves = jnp.exp(-2j * jnp.asarray(subspace.wavenumbers) * jnp.linalg.norm(candidate.position))
-    return jnp.asarray(project(exact * waves[:, None, None], candidate.position, subspace).values) - own.values
+    exact = project(_exact(body, subspace, *pose), candidate.position, subspace).values
+    return jnp.asarray(exact) - own.values

@@ -25,10 +25,11 @@ import numpy as np
 from jaxtyping import Bool, Complex, Float, Int
 
 from august_jax.arrays import Array
+from august_jax.physics.body.patch import fibonacci_lattice
 from august_jax.physics.body.survey import SurveyTable, nearest_directions, surveyed_coefficients
 from august_jax.physics.parameters import rotation_from_vector
 from august_jax.scene.pose import rotation_from_axis_yaw
-from august_jax.signal.roi import Subspace
+from august_jax.signal.roi import Subspace, change_of_centre
 from august_jax.signal.station import Statistics
 
 BLOCK = 32
@@ -36,7 +37,6 @@ BLOCK = 32
 _BLOCKS = 128
 _ACROSS_M = tuple(0.07 * step for step in range(-6, 7))
 _UPWARD_M = (-0.25, 0.0, 0.25)
-_GOLDEN = math.pi * (3.0 - math.sqrt(5.0))
 
 
 class Screened(NamedTuple):
@@ -66,12 +66,9 @@ def attitude_lattice(tilt_deg: float, spacing_deg: float) -> Float[np.ndarray, "
     """
     spacing, top = math.radians(spacing_deg), 1.0 - math.cos(math.radians(tilt_deg))
     count = max(math.ceil(2.0 * math.pi * top / spacing**2), 1)
-    row = np.arange(count)
-    z = 1.0 - top * (row + 0.5) / count
-    across = np.sqrt(1.0 - z**2)
-    axes = np.stack([across * np.cos(_GOLDEN * row), across * np.sin(_GOLDEN * row), z], axis=-1)
+    axes = fibonacci_lattice(count, top)
     turns = math.ceil(2.0 * math.pi / spacing)
-    heading = 2.0 * np.pi / turns * (np.arange(turns) + (0.618034 * row % 1.0)[:, None])
+    heading = 2.0 * np.pi / turns * (np.arange(turns) + (0.618034 * np.arange(count) % 1.0)[:, None])
     every = np.repeat(axes, turns, axis=0).astype(np.float32)
     return np.asarray(
         jax.vmap(rotation_from_axis_yaw)(jnp.asarray(every), jnp.asarray(heading.reshape(-1), jnp.float32))
@@ -82,8 +79,7 @@ def moved_statistics(
     statistics: Statistics, places: Float[Array, "n 3"], subspace: Subspace
 ) -> tuple[Complex[jax.Array, "n tones orders orders"], Complex[jax.Array, "n tones orders orders"]]:
     """Z and C (n, F, K, K) of the coefficients about other places (n, 3) [m]: with T = U^H U',  T^H Z and T^T C."""
-    own = subspace.waves(statistics.centre)
-    change = jnp.einsum("fnk,jfnl->jfkl", own.conj(), jax.vmap(subspace.waves)(places))
+    change = jax.vmap(lambda place: change_of_centre(statistics.centre, place, subspace))(places)
     turned = jnp.swapaxes(change, -1, -2)
     return turned.conj() @ statistics.received, turned @ statistics.pilots
 

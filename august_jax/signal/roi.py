@@ -207,9 +207,16 @@ def lift(coefficients: Coefficients, subspace: Subspace) -> Complex[Array, "tone
     return waves @ coefficients.values @ jnp.swapaxes(waves, -1, -2)
 
 
+def change_of_centre(
+    centre: Float[Array, "3"], other: Float[Array, "3"], subspace: Subspace
+) -> Complex[Array, "tones orders orders"]:
+    """T = U^H U' (F, K, K): coefficients A' about ``other`` (3,) [m] are T A' T^T about ``centre`` (3,) [m]."""
+    return jnp.swapaxes(subspace.waves(centre).conj(), -1, -2) @ subspace.waves(other)
+
+
 def recentre(coefficients: Coefficients, centre: Float[Array, "3"], subspace: Subspace) -> Coefficients:
-    """Coefficients about another point (3,) [m]: T A T^T, T = U'^H U; what leaves the subspace on the way is lost."""
-    change = jnp.swapaxes(subspace.waves(centre).conj(), -1, -2) @ subspace.waves(coefficients.centre)
+    """Coefficients about another point (3,) [m]: T A T^T; what leaves the subspace on the way is lost."""
+    change = change_of_centre(centre, coefficients.centre, subspace)
     return Coefficients(change @ coefficients.values @ jnp.swapaxes(change, -1, -2), centre)
 
 

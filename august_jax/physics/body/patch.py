@@ -26,7 +26,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from august_jax.arrays import Array
+from august_jax.arrays import Array, ArrayLike
 from august_jax.physics.green import inner
 
 _EXTENT = 0.85  # of the body's radius: little of it lies at its very edge
@@ -108,6 +108,26 @@ class Patch(NamedTuple):
         first, second = ((moments[:, axis] - unit[:, axis] * rest)[:, None] for axis in (0, 1))
         return jnp.concatenate([first * across, second * across, (radial * inverse)[:, None] * along], axis=1)
 
+    @property
+    def flat(self) -> Patch:
+        """The same without the polynomials in 1/r: for the functions of :meth:`at_distance`."""
+        return self._replace(across=self.across[:1])
+
+    def at_distance(self, functions: Float[Array, "n r"], distance: ArrayLike) -> Float[jax.Array, "m r"]:
+        """Rows of a matrix of functions (n, R) with the polynomials in 1/r at one distance [m] summed up: (m, R), one
+        for each function of :attr:`flat`."""
+        middle, half = self.inverse_m
+        bends = _chebyshev(jnp.asarray((1.0 / distance - middle) / half), max(len(self.across) - 1, 1))
+        most, size = _terms(self.across[0]), sum(map(_terms, self.across))
+        merged = []
+        for row in (0, size):
+            total = jnp.zeros((most, functions.shape[1]), functions.dtype)
+            for degree, bend in zip(self.across, bends):
+                total = total.at[: _terms(degree)].add(functions[row : row + _terms(degree)] * bend)
+                row += _terms(degree)
+            merged.append(total)
+        return jnp.concatenate([*merged, functions[2 * size :]])
+
     def samples(self) -> tuple[np.ndarray, np.ndarray]:
         """Direction sines (n, 2) and 1/r (n,) [1/m] at which fields are fitted: rings, and Chebyshev's nodes."""
         top = max(*self.across, self.along)
@@ -137,9 +157,13 @@ def frames(directions: Float[np.ndarray, "d 3"]) -> Float[np.ndarray, "d 3 3"]:
 
 def covering(angle: float) -> Float[np.ndarray, "d 3"]:
     """Unit vectors (d, 3) of which every direction is within an angle [rad] of one: a Fibonacci lattice."""
-    count = max(math.ceil((_COVERING / angle) ** 2), 12)
+    return fibonacci_lattice(max(math.ceil((_COVERING / angle) ** 2), 12))
+
+
+def fibonacci_lattice(count: int, height: float = 2.0) -> Float[np.ndarray, "d 3"]:
+    """``count`` unit vectors (d, 3), evenly over the part of the sphere from its top down to z = 1 - ``height``."""
     place = np.arange(count)
-    z = 1.0 - (2.0 * place + 1.0) / count
+    z = 1.0 - height * (place + 0.5) / count
     turn = place * (math.pi * (3.0 - math.sqrt(5.0)))
     across = np.sqrt(1.0 - z**2)
     return np.stack([across * np.cos(turn), across * np.sin(turn), z], axis=-1)

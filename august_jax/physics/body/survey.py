@@ -27,7 +27,6 @@ from august_jax.arrays import Array, ArrayLike
 from august_jax.physics.array import PlanarArray
 from august_jax.physics.body.patch import Patch
 from august_jax.physics.body.table import Table, aperture_of, interpolation
-from august_jax.physics.green import inner
 
 __all__ = ["SurveyTable", "nearest_directions", "survey_table", "surveyed_coefficients"]
 
@@ -107,18 +106,19 @@ def surveyed_coefficients(
         craft, direction: which craft and which direction of its grid, of all.
         rotations: body to world (B, 3, 3).
     """
-    found = []
+    found, distance = [], jnp.linalg.norm(place)
     for tone, frequency in enumerate(survey.frequencies_hz):
         chosen, spread = aperture_of(array, frequency, survey.radius_m, survey.nearest_m)
         distances = jnp.linalg.norm(place - jnp.asarray(array.positions, jnp.float32), axis=1)
         narrowed = jnp.asarray(basis).T @ (jnp.asarray(spread, jnp.float32) / distances[:, None])
-        functions = _at_distance(survey.patch, survey.functions[craft, tone, direction], jnp.linalg.norm(place))
+        functions = survey.patch.at_distance(survey.functions[craft, tone, direction], distance)
         turned = rotations @ survey.axes[craft, direction].T
         elements = jnp.asarray(array.positions[chosen], jnp.float32)
         away = (elements - place) / distances[chosen][:, None]
         unit = jnp.einsum("nk,bkj->bnj", away, turned)
         moments = jnp.einsum("nk,bkj->bnj", jnp.asarray(array.moments[chosen], jnp.float32), turned)
-        phi = _functions(survey.patch, unit.reshape(-1, 3), moments.reshape(-1, 3), 1.0 / jnp.linalg.norm(place))
+        unit, moments = unit.reshape(-1, 3), moments.reshape(-1, 3)
+        phi = survey.patch.flat.functions(distance * unit, jnp.full(len(unit), distance), moments)
         fields = (phi @ functions).reshape(len(rotations), len(chosen), -1)
         fields = jnp.einsum("kn,bnr->bkr", narrowed, fields)
         response = survey.responses[craft, tone, direction]
@@ -127,41 +127,3 @@ def surveyed_coefficients(
         across = jnp.swapaxes(fields, 1, 2)
         found.append(jax.lax.complex(real @ across, imag @ across))
     return jnp.stack(found)
-
-
-def _terms(degree):
-    return (degree + 1) * (degree + 2) // 2
-
-
-def _at_distance(patch, functions, distance):
-    """Rows of V with the polynomials in 1/r summed up: (2 terms + along terms, R)."""
-    middle, half = patch.inverse_m
-    x = (1.0 / distance - middle) / half
-    bends = [jnp.ones_like(x), x]
-    while len(bends) < len(patch.across):
-        bends.append(2.0 * x * bends[-1] - bends[-2])
-    most, size = _terms(patch.across[0]), sum(map(_terms, patch.across))
-    merged = []
-    for moment in range(2):
-        rows, total = moment * size, 0.0
-        for degree, bend in zip(patch.across, bends):
-            part = functions[rows : rows + _terms(degree)] * bend
-            total = total + jnp.pad(part, ((0, most - len(part)), (0, 0)))
-            rows += _terms(degree)
-        merged.append(total)
-    return jnp.concatenate([*merged, functions[2 * size :]])
-
-
-def _functions(patch, unit, moments, inverse):
-    radial = inner(unit, moments)
-    rest = (moments[:, 2] + radial) / (1.0 + unit[:, 2])
-    top = patch.across[0]
-    x, y = unit[:, 0] / patch.sine, unit[:, 1] / patch.sine
-    first, second = [jnp.ones_like(x), x], [jnp.ones_like(y), y]
-    for powers, value in ((first, x), (second, y)):
-        while len(powers) <= top:
-            powers.append(2.0 * value * powers[-1] - powers[-2])
-    products = jnp.stack([first[total - b] * second[b] for total in range(top + 1) for b in range(total + 1)], -1)
-    one, two = ((moments[:, axis] - unit[:, axis] * rest)[:, None] for axis in (0, 1))
-    along = products[:, : _terms(patch.along)]
-    return jnp.concatenate([one * products, two * products, (radial * inverse)[:, None] * along], axis=1)
