@@ -10,7 +10,7 @@ from made_up_track import made_up_track
 from august_jax.config import override, preset
 from august_jax.data import generate, prepare_targets
 from august_jax.evaluation import score, score_track
-from august_jax.evaluation.bound import unit_information
+from august_jax.evaluation.bound import Bound, unit_information
 from august_jax.scene import WorldCloud
 from august_jax.schemes import Answer, Truth
 from august_jax.schemes.matched_field import search_track
@@ -72,6 +72,28 @@ def test_craft_regions_and_what_is_explained_are_counted():
     assert found["mpe_m"] is None and score(answer, true._replace(craft=None), 0.25)["craft_accuracy"] is None
 
 
+def test_expected_errors_stand_beside_true_ones_of_the_slots_that_have_them():
+    true = truth(3)
+    tilted = np.array([[0.6, 0.0, 0.8], [0.0, 0.0, 1.0], [0.8, 0.0, 0.6]])
+    answer = Answer(
+        position=true.position + [[0.3, 0.0, 0.0], [0.1, 0.0, 0.0], [5.0, 0.0, 0.0]],
+        normal=tilted,
+        expected_error_m=np.array([0.2, 0.3, np.nan]),
+        expected_normal_error=np.array([0.1, 0.3, np.nan]),
+    )
+    found = score(answer, true, 0.25)
+    assert (found["expected_mpe_m"], found["expected_mde"]) == (pytest.approx(0.25), pytest.approx(0.2))
+    # of the first two alone: 0.2 m where 0.25 m were expected, 0.1 where 0.2
+    assert (found["mpe_over_expected"], found["mde_over_expected"]) == (
+        pytest.approx(0.8),
+        pytest.approx(0.5, rel=1e-5),
+    )
+    silent = answer._replace(expected_error_m=np.full(3, np.nan), expected_normal_error=None)
+    assert score(silent, true, 0.25)["expected_mpe_m"] is None
+    sure = answer._replace(expected_error_m=np.zeros(3))
+    assert score(sure, true, 0.25)["mpe_over_expected"] is None
+
+
 def test_errors_along_and_across_the_line_of_sight():
     true = truth()._replace(position=np.tile([0.0, 5.0, 0.0], (3, 1)))
     scores = score(Answer(position=true.position + [0.3, 0.4, 0.0]), true, 0.25)
@@ -122,6 +144,18 @@ def test_meshes_that_are_gone_cost_the_mean_shape_and_no_more():
     with pytest.warns(UserWarning, match="mean_shape.*gone.ply"):
         found = score_track(made_up_track(), config, 0.25)
     assert [row["scheme"] for row in found["schemes"]] == ["august", "prediction", "up", "resampling"]
+
+
+def test_the_bound_of_the_first_samples_is_the_mean_of_theirs():
+    config = override(preset("smoke"), ["evaluate.searched=0"])
+    targets = prepare_targets(config)
+    slots = config.flight.slots
+    samples = generate(config, [row * slots for row in range(4)], targets)  # of both craft in turn
+    bound = Bound(samples, samples.position, targets, config)
+    alone = [Bound(samples.at(slice(row, row + 1)), samples.position[row : row + 1], targets, config) for row in (0, 1)]
+    for name, value in bound.at(20.0, 2).items():
+        assert value == pytest.approx(np.mean([each.at(20.0)[name] for each in alone]), rel=1e-3)
+    assert bound.at(20.0, 4) == bound.at(20.0) and bound.at(20.0, 2) != bound.at(20.0)
 
 
 def test_pilots_that_light_all_directions_have_no_bound():

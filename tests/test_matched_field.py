@@ -57,6 +57,8 @@ def test_the_answer_is_the_posteriors(ask, slots):
     np.testing.assert_allclose(answer.normal, [each.mean_normal for each in expected], atol=1e-6)
     np.testing.assert_allclose(answer.craft_probability, [each.craft_probability for each in expected], rtol=1e-6)
     np.testing.assert_array_equal(answer.craft, 1)
+    errors = [matched_field.expected_errors(each) for each in expected]
+    np.testing.assert_allclose(np.stack([answer.expected_error_m, answer.expected_normal_error], 1), errors, rtol=1e-5)
     assert answer.explained.all() and answer.triple_normal is None
     np.testing.assert_allclose(answer.seconds, 1.5)
 
@@ -90,7 +92,8 @@ def test_where_no_known_craft_explains_the_echo_the_networks_answer(ask, slots, 
     answer, sure = ask(slots, networks, unexplained=(1,)), ask(slots, networks)
     assert answer.explained.tolist() == [True, False, True] and answer.craft.tolist() == [1, -1, 1]
     same = [0, 2]
-    for field in ("position", "normal", "samples"):
+    assert np.isnan(answer.expected_error_m[1]) and np.isnan(answer.expected_normal_error[1])
+    for field in ("position", "normal", "samples", "expected_error_m", "expected_normal_error"):
         np.testing.assert_array_equal(getattr(answer, field)[same], getattr(sure, field)[same])
     # theirs is a cloud of many materials, and its mean the position
     np.testing.assert_allclose(answer.position[1], answer.cloud.points[1].mean(axis=0), atol=1e-5)

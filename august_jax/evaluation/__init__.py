@@ -1,9 +1,10 @@
-"""How good answers are: metrics, scores, the bound, and the loop over schemes and SNRs."""
+"""How good answers are: metrics, scores, the bound and where it is left, and the loop over schemes and SNRs."""
 
 from august_jax.evaluation.bound import Bound
 from august_jax.evaluation.evaluate import evaluate, validator
 from august_jax.evaluation.metrics import along_and_across_m, mcd_db, mde, mpe_m, wd_db
 from august_jax.evaluation.score import NOTE, score, score_track
+from august_jax.evaluation.threshold import threshold_db, thresholds
 
 __all__ = [
     "NOTE",
@@ -15,6 +16,8 @@ __all__ = [
     "mpe_m",
     "score",
     "score_track",
+    "threshold_db",
+    "thresholds",
     "validator",
     "wd_db",
 ]

@@ -88,16 +88,17 @@ class Bound:
     def __init__(self, samples: Sample, predicted: Float[Array, "n 3"], targets: Sequence[Target], config: Config):
         order = np.argsort(samples.airframe[:SAMPLES], kind="stable")
         self._information = unit_information(samples.at(order), np.asarray(predicted)[order], targets, config)
-        self._normal = np.asarray(samples.rotation[order, :, 2])
+        self._order, self._normal = order, np.asarray(samples.rotation[order, :, 2])
         self._spread = spread_of(config)
 
-    def at(self, snr_db: float) -> dict[str, float | None]:
-        """``bound_m``, the mean position error [m], and ``bound_mde``, half the mean square of the tilt error; None
-        where they are not known."""
+    def at(self, snr_db: float, count: int | None = None) -> dict[str, float | None]:
+        """``bound_m``, the mean position error [m], and ``bound_mde``, half the mean square of the tilt error, of the
+        first ``count`` samples (all 100 by default); None where they are not known."""
         if self._information is None:
             return {"bound_m": None, "bound_mde": None}
-        known = 10.0 ** (snr_db / 10.0) * self._information
-        tilts = tilt_bound(known, self._normal, self._spread)
+        those = self._order < (SAMPLES if count is None else count)
+        known = 10.0 ** (snr_db / 10.0) * self._information[those]
+        tilts = tilt_bound(known, self._normal[those], self._spread)
         return {
             "bound_m": float(np.mean(mean_position_error(known, self._spread))),
             "bound_mde": float(np.mean(0.5 * tilts**2)),

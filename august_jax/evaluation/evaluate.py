@@ -53,8 +53,10 @@ def evaluate(networks: Networks, config: Config, *, seed: int, progress: Progres
 
     Returns:
         For each SNR and scheme (:data:`august_jax.schemes.SCHEMES`) a row ``scheme``, ``label``, ``snr_db``, the
-        metrics of :func:`~august_jax.evaluation.score.score`, ``count``, ``bound_m`` [m] and ``bound_mde``; None where
-        a scheme does not define a metric or the bound is not known.
+        metrics of :func:`~august_jax.evaluation.score.score`, ``count``, ``bound_m`` [m] and ``bound_mde``, and
+        ``own_bound_m`` and ``own_bound_mde``, the same of the slots that the scheme answered (the first 100 at most):
+        what a search expects to err by (``expected_mpe_m``, ``expected_mde``) compares with these. None where a scheme
+        does not define a metric or the bound is not known.
     """
     count, slots = config.evaluate.count, config.flight.slots
     targets = prepare_targets(config, progress)
@@ -104,6 +106,7 @@ def evaluate(networks: Networks, config: Config, *, seed: int, progress: Progres
                     **scored,
                     "count": those.slots,
                     **bound.at(snr_db),
+                    **{f"own_{metric}": value for metric, value in bound.at(snr_db, those.slots).items()},
                 }
             )
         left = (time.monotonic() - began) / done * (len(levels) - done)

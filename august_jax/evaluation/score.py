@@ -43,11 +43,15 @@ def score(answer: Answer, truth: Truth, size_m: float) -> dict[str, float | None
         root-mean-square error along the line of sight and across it [m]; ``craft_accuracy``, the share of slots whose
         craft is named, and ``craft_chance``, that of guessing; ``explained``, the share of slots in which a known craft
         explains the echo; ``inside_50`` and ``inside_90``, how often the truth lies in the credible regions of these
-        probabilities, of the slots for which there is one; ``seconds``, the median time of a slot [s].
+        probabilities, of the slots for which there is one; ``expected_mpe_m`` [m] and ``expected_mde``, the errors that
+        the answer itself expects, over the slots where it says so, and ``mpe_over_expected`` and ``mde_over_expected``,
+        how many times as much it errs in the same slots (one where it is calibrated); ``seconds``, the median time of a
+        slot [s].
     """
     values: dict[str, float | None] = dict.fromkeys(
         ("mpe_m", "mpe_se_m", "mde", "mde_triples", "wd_db", "wd_size_db", "mcd_db", "along_m", "across_m",
-         "craft_accuracy", "craft_chance", "explained", "inside_50", "inside_90", "seconds")
+         "craft_accuracy", "craft_chance", "explained", "inside_50", "inside_90", "expected_mpe_m", "expected_mde",
+         "mpe_over_expected", "mde_over_expected", "seconds")
     )  # fmt: skip
     if answer.position is not None:
         values["mpe_m"] = float(metrics.mpe_m(answer.position, truth.position))
@@ -89,6 +93,15 @@ def score(answer: Answer, truth: Truth, size_m: float) -> dict[str, float | None
         )
         if len(levels):
             values |= {f"inside_{share:.0f}": calibration.coverage(levels, share / 100.0)[0] for share in (50, 90)}
+    for name, unit, expected, own, true, apart in (
+        ("mpe", "_m", answer.expected_error_m, answer.position, truth.position, metrics.mpe_m),
+        ("mde", "", answer.expected_normal_error, answer.normal, truth.normal, metrics.mde),
+    ):
+        told = np.zeros(0, bool) if expected is None or own is None else np.isfinite(expected)
+        if np.any(told):
+            mean = float(np.mean(np.asarray(expected, np.float64)[told]))
+            error = float(apart(np.asarray(own)[told], np.asarray(true)[told]))
+            values |= {f"expected_{name}{unit}": mean, f"{name}_over_expected": error / mean if mean > 0.0 else None}
     if answer.seconds is not None:
         values["seconds"] = float(np.median(answer.seconds))
     return values

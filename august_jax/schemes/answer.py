@@ -80,6 +80,9 @@ class Answer(NamedTuple):
         cloud: points (B, M, 3) [m] and their materials (B, M).
         centre: where a cloud lies that comes without a position of its own (B, 3) [m].
         samples: positions that are equally probable by what is known (B, n, 3) [m]; NaN in slots of which none is said.
+        expected_error_m: mean distance of ``position`` from where the craft may be, by what the answer itself knows
+            (B,) [m]; NaN in slots of which none is said.
+        expected_normal_error: mean of 1 - cos between ``normal`` and what it may be (B,), likewise.
         craft: which of the known craft (B,), -1 where it is none of them.
         craft_probability: of each known craft, if it is one of them (B, C).
         explained: whether a known craft leaves no more of the echo than noise would (B,).
@@ -92,6 +95,8 @@ class Answer(NamedTuple):
     cloud: WorldCloud | None = None
     centre: Float[Array, "batch 3"] | None = None
     samples: Float[Array, "batch samples 3"] | None = None
+    expected_error_m: Float[Array, " batch"] | None = None
+    expected_normal_error: Float[Array, " batch"] | None = None
     craft: Int[Array, " batch"] | None = None
     craft_probability: Float[Array, "batch crafts"] | None = None
     explained: Bool[Array, " batch"] | None = None

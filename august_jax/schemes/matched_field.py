@@ -72,11 +72,14 @@ def said(key: jax.Array, posterior: Posterior, library: Library, points: int) ->
     """
     cloud_key, sample_key = jax.random.split(key)
     chosen = _evenly_drawn(sample_key, posterior, SAMPLES)
+    error_m, normal_error = expected_errors(posterior)
     answer = Answer(
         position=posterior.mean_position,
         normal=posterior.mean_normal,
         cloud=hypothesis_cloud(cloud_key, posterior, library, 0, points),
         samples=posterior.position[chosen],
+        expected_error_m=np.asarray(error_m),
+        expected_normal_error=np.asarray(normal_error),
         craft=np.asarray(np.argmax(posterior.craft_probability) if posterior.explained else UNKNOWN, np.int32),
         craft_probability=posterior.craft_probability,
         explained=np.asarray(posterior.explained),
@@ -88,6 +91,17 @@ def said(key: jax.Array, posterior: Posterior, library: Library, points: int) ->
         return leaf.astype(np.float32) if leaf.dtype.kind == "f" else leaf
 
     return jax.tree.map(row, answer)
+
+
+def expected_errors(posterior: Posterior) -> tuple[float, float]:
+    """By how much a posterior expects its own means to err: E|q - q_mean| [m] and E(1 - n.n_mean) = 1 - |E n|.
+
+    Over slots that are drawn from what the posterior assumes, the mean of each is the mean error itself (MPE, MDE).
+    """
+    weights = np.asarray(posterior.weights, np.float64)
+    apart = np.linalg.norm(posterior.position - posterior.mean_position, axis=1)
+    aside = 1.0 - posterior.rotation[:, :, 2] @ posterior.mean_normal
+    return float(weights @ apart), float(np.maximum(weights @ aside, 0.0))
 
 
 def hypothesis_cloud(key: jax.Array, posterior: Posterior, library: Library, number: int, points: int) -> WorldCloud:
@@ -105,11 +119,15 @@ def hypothesis_cloud(key: jax.Array, posterior: Posterior, library: Library, num
 def _left_to(networks: Answer, found: Answer) -> Answer:
     """The networks' answer in the place of what a search found, where that explains nothing."""
     assert found.samples is not None
+    assert found.expected_error_m is not None and found.expected_normal_error is not None
     return found._replace(
         position=networks.position,
         normal=networks.normal,
         cloud=networks.cloud,
-        samples=np.full_like(found.samples, np.nan),  # networks do not say how sure they are
+        # networks do not say how sure they are
+        samples=np.full_like(found.samples, np.nan),
+        expected_error_m=np.full_like(found.expected_error_m, np.nan),
+        expected_normal_error=np.full_like(found.expected_normal_error, np.nan),
     )
 
 

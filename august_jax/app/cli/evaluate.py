@@ -8,7 +8,7 @@ from typing import Any
 
 from august_jax import config as configuration
 from august_jax.app.cli.common import chosen_weights, folder
-from august_jax.app.cli.messages import UsageError, command_line, note, say, scheme_table, search_table
+from august_jax.app.cli.messages import UsageError, command_line, expected_table, note, say, scheme_table, search_table
 from august_jax.app.cli.parser import Command, whole
 
 
@@ -32,7 +32,8 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
     networks, config = chosen_weights(args, args.run or (args.rest[0] if args.rest else None))
     rows = evaluation.evaluate(networks, config, seed=args.seed, progress=note)
     made = {"command_line": command_line(*args.words), "configuration": configuration.to_dict(config)}
-    result = {"weights": networks.name, "seed": args.seed, **made, "rows": rows}
+    found = {"rows": rows, "thresholds": evaluation.thresholds(rows)}
+    result = {"weights": networks.name, "seed": args.seed, **made, **found}
     write_text(out / "evaluation.json", json.dumps(result, indent=1, allow_nan=False))
     plotting.evaluation_curves(
         rows,
@@ -43,6 +44,9 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
     searched = search_table(rows)
     if searched:
         say(args, f"\n{searched}")
+    expected = expected_table(rows, found["thresholds"])
+    if expected:
+        say(args, f"\n{expected}")
     say(args, f"\n{evaluation.NOTE}\nwritten: {out / 'evaluation.json'}, {out / 'evaluation.png'}")
     return {"out": str(out), **result}
 

@@ -196,5 +196,32 @@ def search_table(rows: Sequence[dict[str, Any]]) -> str:
     return table([["scheme", *(title for title, _, _ in columns)], *told]) if told else ""
 
 
+def expected_table(rows: Sequence[dict[str, Any]], thresholds: Sequence[dict[str, Any]]) -> str:
+    """Errors beside those that a scheme expects of itself and the bound on the same slots, and where the two part, as
+    text; empty where no scheme expects any."""
+    columns = [
+        ("SNR [dB]", "snr_db", 0),
+        ("MPE [m]", "mpe_m", 3),
+        ("expected", "expected_mpe_m", 3),
+        ("off by x", "mpe_over_expected", 2),
+        ("bound", "own_bound_m", 3),
+        ("MDE", "mde", 4),
+        ("expected", "expected_mde", 4),
+        ("off by x", "mde_over_expected", 2),
+        ("bound", "own_bound_mde", 4),
+    ]
+    told = [
+        [row["scheme"], *(_cell(row[name], digits) for _, name, digits in columns)]
+        for row in rows
+        if row["expected_mpe_m"] is not None
+    ]
+    parted = [
+        f"{each['scheme']}: the expected error of its {each['of']} is within {each['within']:g} times the bound from: "
+        f"{each['said']}"
+        for each in thresholds
+    ]
+    return "\n".join([table([["scheme", *(title for title, _, _ in columns)], *told]), *parted]) if told else ""
+
+
 def _cell(value: float | None, digits: int) -> str:
     return "-" if value is None else f"{value:.{digits}f}"
