@@ -91,7 +91,8 @@ def find_craft(
     snr_db = _snr_db(statistics, subspace)
     if proposals is None:
         place = _bearing(statistics, subspace, library.config.region.scale_m)
-        seen = screen(library.survey, subspace, statistics, place, library.attitudes, _LOOKED)
+        reach_m = float(np.sqrt(3.0) * prior.half_m)  # of the prediction's range, which bearings leave alone
+        seen = screen(library.survey, subspace, statistics, place, library.attitudes, _LOOKED, reach_m)
         low, high = np.asarray(prior.permittivity)
         permittivity = np.clip(1.0 + library.survey_contrast * np.abs(seen.gain), low, high)
         loss = np.full(len(permittivity), float(prior.middle()[1]), np.float32)

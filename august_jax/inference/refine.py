@@ -165,10 +165,11 @@ def _begun(table, subspace, statistics, craft, rotation, position, permittivity,
 
 
 def _exact(body, subspace, rotation, position, permittivity, conductivity):
-    """The factored body's channel (F, N_b, N_b), the phase e^{2jk|q|} of the place taken out as a table's is."""
-    waves = jnp.exp(-2j * jnp.asarray(subspace.wavenumbers) * jnp.linalg.norm(position))
+    """The factored body's channel (F, N_b, N_b), the phase e^{2jk'|q|} of the mean wavenumber and the place taken out
+    as a table's is."""
+    wave = jnp.exp(-2j * np.mean(subspace.wavenumbers) * jnp.linalg.norm(position))
     channel = parameter_channel(body, subspace.array, Parameters(), rotation, position, permittivity, conductivity)
-    return channel * waves[:, None, None]
+    return channel * wave
 
 
 def _judged(table, subspace, statistics, pose, damping, body=None):

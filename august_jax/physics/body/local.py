@@ -12,6 +12,9 @@ A displacement turns phases, by k times the components of the unit vectors n_i f
 the means, phases common to all, being left to the gain. What the craft sees of the array then turns by the
 displacement over the distance, as it does in a turn: dX of a displacement is taken from that of a turn, but for the
 part of a moment that turns along. That is good to a few per cent, enough for steps towards a minimum.
+
+Tones share one gain, which takes one phase alone: that of the mean wavenumber k' of the tones. What remains of each,
+e^{2j(k - k')|q|}, is left in A, because it tells the range.
 """
 
 from __future__ import annotations
@@ -34,7 +37,8 @@ __all__ = ["LocalCoefficients", "local_coefficients"]
 
 
 class LocalCoefficients(NamedTuple):
-    """Coefficients of one craft about its own place and their derivatives; the phase e^{2jk|q|} is taken out.
+    """Coefficients of one craft about its own place and their derivatives; the phase e^{2jk'|q|} is taken out, k' being
+    the mean wavenumber of the tones.
 
     Attributes:
         values: A of each tone (F, K, K) complex64, symmetric [1/m].
@@ -141,4 +145,17 @@ def local_coefficients(
             real, imag = (own @ part for part in response)
             value = jax.lax.complex(real @ own.T, imag @ own.T)
         values.append(value)
-    return LocalCoefficients(jnp.stack(values), jnp.stack(slopes, axis=1) if derivatives else None)
+    found = LocalCoefficients(jnp.stack(values), jnp.stack(slopes, axis=1) if derivatives else None)
+    return found if len(values) == 1 else _with_range(found, table.frequencies_hz, position)
+
+
+def _with_range(found: LocalCoefficients, frequencies_hz, position) -> LocalCoefficients:
+    """With the phases e^{2j(k - k')|q|} that tell tones apart by the range."""
+    wavenumbers = np.asarray([wavenumber(frequency) for frequency in frequencies_hz])
+    apart = jnp.asarray(wavenumbers - wavenumbers.mean(), jnp.float32)[:, None, None]
+    distance = jnp.sqrt(inner(position, position))
+    waves = jnp.exp(2j * apart * distance)
+    if found.derivatives is None:
+        return LocalCoefficients(waves * found.values, None)
+    moved = 2j * apart * found.values * (position / distance)[:, None, None, None]
+    return LocalCoefficients(waves * found.values, waves * found.derivatives.at[:3].add(moved))
