@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from august_jax.arrays import Array
+from august_jax.data.simulator import contrast_of
 from august_jax.inference.hypotheses import (
     Hypotheses,
     Mixture,
@@ -81,9 +82,10 @@ def find_craft(
         proposals: explanations to begin with in place of the screen, such as a tracker's.
 
     Raises:
-        ValueError: an echo that is not finite, or of other tones or another array than the library's.
+        ValueError: an echo that is not finite, or of other tones or another array than the library's; a prior that
+            leaves nothing to look at, or materials or places that the library's tables do not hold.
     """
-    _check(library, statistics)
+    _check(library, statistics, prior)
     seconds: dict[str, float] = {}
     clock = _Clock(seconds)
     table, subspace = library.table, library.subspace
@@ -186,7 +188,7 @@ class _Clock:
         self._seconds[stage], self._began = now - self._began, now
 
 
-def _check(library: Library, statistics: Statistics) -> None:
+def _check(library: Library, statistics: Statistics, prior: Prior) -> None:
     tones, orders = len(library.table.frequencies_hz), library.subspace.orders
     for name, value, wanted in (
         ("received", statistics.received, (tones, orders, orders)),
@@ -200,6 +202,35 @@ def _check(library: Library, statistics: Statistics) -> None:
             )
         if not np.all(np.isfinite(np.asarray(value))):
             raise ValueError(f"statistics: {name} holds numbers that are not finite; leave that slot out")
+    prior.check()
+    _check_held(library, statistics, prior)
+
+
+def _check_held(library: Library, statistics: Statistics, prior: Prior) -> None:
+    """Beyond a table polynomials grow without bound, and a compiled search cannot tell."""
+    table, slack = library.table, 1e-3
+    low, high = (float(end) - 1.0 for end in prior.permittivity)
+    if low < table.contrast[0] - slack or high > table.contrast[1] + slack:
+        raise ValueError(
+            f"prior: permittivity from {1.0 + low:g} to {1.0 + high:g} is beyond the library's tables, which hold "
+            f"{1.0 + table.contrast[0]:.3g} to {1.0 + table.contrast[1]:.3g}; make the library with that range "
+            "(target.permittivity)"
+        )
+    loss = float(np.imag(contrast_of(library.config, 1.0, float(prior.conductivity[1]))).max())
+    if loss > table.loss + slack:
+        raise ValueError(
+            f"prior: conductivity up to {float(prior.conductivity[1]):g} S/m is beyond the library's tables, which "
+            f"hold imaginary contrasts up to {table.loss:.3g}, here {loss:.3g}; make the library with that range "
+            "(target.conductivity_s_m)"
+        )
+    distance = float(np.linalg.norm(np.asarray(statistics.centre, np.float64)))
+    reach, (near, far) = np.sqrt(3.0) * float(prior.half_m), table.distance_m
+    if distance + reach < near or distance - reach > far:
+        raise ValueError(
+            f"statistics: the centre is {distance:.3g} m from the array, and no place within {reach:.2g} m of it is in "
+            f"the library's tables, which hold {near:.3g} to {far:.3g} m; make the library for those places "
+            "(flight.box_m)"
+        )
 
 
 def _snr_db(statistics: Statistics, subspace: Subspace) -> float:
@@ -342,4 +373,5 @@ def _weighed(library, statistics, prior, found, key, level, clock, seconds):
         float(chi2.sf(2.0 * residual, degrees)),
         level,
         seconds,
+        float(chi2.sf(2.0 * float(jnp.sum(jnp.abs(statistics.received) ** 2)), 2 * count)),
     )

@@ -69,6 +69,7 @@ class Posterior:
         probability: that noise alone leaves as much.
         level: below which it counts as unexplained.
         seconds: what each stage took [s].
+        silence: probability that noise alone, without any craft, is as loud as the echo.
     """
 
     hypotheses: Hypotheses
@@ -85,6 +86,13 @@ class Posterior:
     probability: float
     level: float
     seconds: dict[str, float]
+    silence: float = 0.0
+
+    @property
+    def heard(self) -> bool:
+        """Whether the echo is louder than noise alone would be; where it is not, it tells of no craft: some attitudes
+        of any craft send next to nothing back, and explain silence."""
+        return self.silence < self.level
 
     @property
     def explained(self) -> bool:

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from august_jax.config import Config
-from august_jax.data.simulator import Target, contrast_of, prepare_targets, tabulate_targets
+from august_jax.data.simulator import Target, check_table, contrast_of, prepare_targets, tabulate_targets
 from august_jax.inference.screen import attitude_lattice
 from august_jax.physics import Body, Table, stack_tables
 from august_jax.physics.body.survey import SurveyTable, survey_table
@@ -78,17 +78,23 @@ def known_craft(
         progress: told how far it is.
 
     Raises:
-        ValueError: no craft, a craft twice, or craft without bodies (``data.solver`` other than mom and table).
+        ValueError: no craft, a craft twice, craft without bodies (``data.solver`` other than mom and table), or with
+            tables that do not hold all that the configuration's craft may be.
     """
     targets = tuple(prepare_targets(config, progress) if targets is None else targets)
     if not targets:
-        raise ValueError("targets: a library needs at least one craft")
+        raise ValueError(
+            "targets: a library needs at least one craft; give what prepare_targets makes of target.airframes"
+        )
     digests: dict[str, str] = {}
     for target in targets:
         name = target.airframe.name
         twice = digests.get(target.airframe.digest)
         if twice is not None:
-            raise ValueError(f"targets: {name} is in the library twice{'' if twice == name else f', as {twice} too'}")
+            raise ValueError(
+                f"targets: {name} is in the library twice{'' if twice == name else f', as {twice} too'}; name each "
+                "craft once in target.airframes"
+            )
         digests[target.airframe.digest] = name
         if target.body is None:
             raise ValueError(
@@ -96,6 +102,8 @@ def known_craft(
             )
     tables = [target.table for target in targets]
     found = [table for table in tables if table is not None]
+    for table in found:
+        check_table(config, table)
     if len(found) < len(targets):
         found = tabulate_targets(config, [target.body for target in targets if target.body is not None], progress)
     ranges = config.target

@@ -81,6 +81,34 @@ class Prior(NamedTuple):
         )
         return cls(*(jnp.asarray(number, jnp.float32) for number in numbers))
 
+    def check(self) -> None:
+        """Refuse a prior that leaves nothing to look at.
+
+        Raises:
+            ValueError: a width or a density that is not positive and finite, or a range whose ends are the wrong way
+                round; names it.
+        """
+        for name, wanted in (
+            ("half_m", "give half the edge of a cube [m]"),
+            ("tilt_density", "give every bin some, and let tilt_rad bound the tilt"),
+            ("tilt_rad", "give the largest tilt [rad]"),
+            ("log_gain", "give a standard deviation"),
+            ("phase_rad", "give a standard deviation [rad], a large one where the phase is not known"),
+        ):
+            values = np.asarray(getattr(self, name), np.float64)
+            good = np.isfinite(values) & (values > 0.0)
+            if not good.all():
+                raise ValueError(
+                    f"prior: {name} is {values[~good].flat[0]:g}, which leaves nothing to look at; {wanted}"
+                )
+        for name in ("permittivity", "conductivity"):
+            low, high = np.asarray(getattr(self, name), np.float64)
+            if not (np.isfinite([low, high]).all() and low <= high):
+                raise ValueError(
+                    f"prior: {name} from {low:g} to {high:g} leaves nothing to look at; give two finite numbers, the "
+                    "smaller first"
+                )
+
     def log_tilt(self, rotation: Float[Array, "*n 3 3"]) -> Float[jax.Array, "*n"]:
         """Log density of thrust axes per steradian: linear between the bins' middles, none beyond the largest tilt."""
         bins = self.tilt_density.shape[0]
