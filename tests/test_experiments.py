@@ -50,6 +50,12 @@ def what_physics_allows(numbers):
     assert np.all(np.diff(at20, axis=1) > 0.0)
     larger = at20[[cases.index(f"{size}, 1 tone") for size in ("16x1", "16x2", "16x4", "16x16")]]
     assert np.all(np.diff(larger, axis=0) < 0.0)
+    for name in ("searched_m", "searched_deg"):  # (slot, SNR, expected, true, bound)
+        values = numbers[name]
+        assert values.shape[1:] == (len(numbers["searched_db"]), 3) and np.all(values >= 0.0)
+        assert np.all(np.diff(values[..., 2], axis=1) < 0.0)
+    expected = np.mean(numbers["searched_m"][..., 0], axis=0)
+    assert expected[-1] < 0.8 * expected[0]  # the louder the echo, the surer the posterior
 
 
 def echo_over_the_box(numbers):
@@ -105,6 +111,26 @@ def parts_of_a_drone(numbers):
     assert np.all(parts < contrast * np.array([cells[part == index].sum() for index in range(len(parts))]))
 
 
+def explanations_left(numbers):
+    """Weights are shares, an explanation that is counted more widely holds no less, and bounds fall with the SNR."""
+    triples = list(zip(numbers["case"], numbers["slot"], numbers["snr_db"]))
+    assert len(set(triples)) == len(triples) > 0
+    heaviest, number = numbers["heaviest"], numbers["explanations"]
+    # of shares p: max(p)^2 <= sum p^2 <= max(p), in 2000 draws that are given away but for one
+    assert np.all((heaviest > 0.0) & (heaviest <= 1.0 + 1e-9) & (number >= 1.0 - 1e-9))
+    assert np.all((number >= 0.99 / heaviest) & (number <= 1.01 / heaviest**2))
+    assert np.all(numbers["heaviest_by_heading"] <= heaviest + 1e-9)
+    assert np.all(numbers["heaviest_wide"] >= heaviest - 1e-9)
+    assert np.all((numbers["craft_probability"] >= 0.0) & (numbers["craft_probability"] <= 1.0 + 1e-6))
+    for case, slot in {(case, slot) for case, slot, _ in triples}:
+        mine = (numbers["case"] == case) & (numbers["slot"] == slot)
+        order = np.argsort(numbers["snr_db"][mine])
+        for name in ("bound_m", "bound_mde"):
+            assert np.all(np.diff(numbers[name][mine][order]) < 0.0)
+    loudest = numbers["snr_db"] == numbers["snr_db"].max()
+    assert np.mean(numbers["expected_error_m"][loudest]) < np.mean(numbers["prediction_error_m"][loudest])
+
+
 LAWS = {
     "convergence": cell_size,
     "design": array_design,
@@ -112,6 +138,7 @@ LAWS = {
     "link_budget": echo_over_the_box,
     "refine_pose": pose_by_gradients,
     "sensitivity": parts_of_a_drone,
+    "threshold": explanations_left,
     "trust": trust,
 }
 """What the numbers of a study must show, whatever the lattice."""
