@@ -148,6 +148,12 @@ def test_evaluate_rows(capsys, home, monkeypatch, unchecked):
         assert (row["snr_db"], row["count"]) == (20.0, 2 if name == "matched_field" else 4)
         assert (row["explained"] is None) == (row["craft_accuracy"] is None) == (name != "matched_field")
         assert 0.0 < row["bound_m"] < 0.5 and 0.0 < row["bound_mde"] < 0.25
+        assert (row["expected_mpe_m"] is None) == (row["expected_mde"] is None) == (name != "matched_field")
+        assert (row["own_bound_m"] == row["bound_m"]) == (row["count"] == 4)
+    assert [(each["scheme"], each["of"]) for each in result["thresholds"]] == [
+        ("matched_field", "position"),
+        ("matched_field", "normal"),
+    ]
     # the floor lies below what knows only the prediction; the prediction misses by at most the cube's half diagonal
     assert rows["resampling"]["wd_db"] < rows["mean_shape"]["wd_db"]
     assert rows["resampling"]["mpe_m"] < rows["prediction"]["mpe_m"] < 0.5 * math.sqrt(3.0)
