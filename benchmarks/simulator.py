@@ -114,25 +114,25 @@ def in_double(cells: Cells, turn, place, call: Callable):
         return jax.tree.map(np.asarray, call(moved))
 
 
-def peer(positions_m: np.ndarray, edge_m: float):
+def peer(positions_m: np.ndarray, edge_m: float, array: PlanarArray = ARRAY, chi: complex = CHI):
     """torchgdm's channel of solid cells, and its value and gradient in the cells' positions (no arguments)."""
     import torch
     import torchgdm as tg
 
     torch.set_num_threads(len(os.sched_getaffinity(0)))
-    antennas = torch.as_tensor(1e9 * ARRAY.positions, dtype=torch.float32)
+    antennas = torch.as_tensor(1e9 * array.positions, dtype=torch.float32)
 
     def channel(positions):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             body = tg.struct.StructDiscretized3D(
-                positions, tg.materials.MatConstant(1.0 + CHI), step=1e9 * edge_m, on_distance_violation="ignore"
+                positions, tg.materials.MatConstant(1.0 + chi), step=1e9 * edge_m, on_distance_violation="ignore"
             )
             simulation = tg.simulation.Simulation(
-                [body], tg.env.EnvHomogeneous3D(env_material=1.0), [], [1e9 * ARRAY.wavelength]
+                [body], tg.env.EnvHomogeneous3D(env_material=1.0), [], [1e9 * array.wavelength]
             )
             # Probes a little off the sources: the free-space term, which torchgdm adds, is infinite at them.
-            return tg.postproc.green.G_Ep(simulation, antennas + 1e7, antennas, 1e9 * ARRAY.wavelength)
+            return tg.postproc.green.G_Ep(simulation, antennas + 1e7, antennas, 1e9 * array.wavelength)
 
     def forward():
         with torch.no_grad():

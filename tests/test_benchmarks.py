@@ -79,3 +79,42 @@ def test_training_times_a_stream_against_a_data_set(tmp_path, monkeypatch):
     rates = [written[name]["samples_per_s"] for name in ("stream", "stored")]
     assert min(rates) > 0.0 and written["stream_over_stored"] == pytest.approx(rates[0] / rates[1])
     assert min(written["batch_s"].values()) > 0.0
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:cells.volumes")
+def test_inference_tells_an_error_beside_every_speed_and_draws_its_tables_again(tmp_path, monkeypatch, capsys):
+    parts = ("--parts", "slots", "screen", "tables", "routes")
+    written = figures("inference", "--small", *parts, folder=tmp_path, monkeypatch=monkeypatch)
+    rows = {row["route"]: row for row in written["routes"]}
+    ours = {"LU", "body", "table", "table, coefficients", "local", "local, 8 derivatives", "survey"}
+    assert ours <= set(rows) <= ours | {"torchgdm"}
+    for name in ours:
+        row = rows[name]
+        assert 0.0 < row["error_median"] <= row["error_most"] < (1e-3 if name in ("LU", "body") else 3e-2)
+        assert row["LU_over_it"] == pytest.approx(rows["LU"]["seconds"] / row["seconds"])
+    assert max(rows["local, 8 derivatives"]["derivative_errors"].values()) < 0.15
+    [later] = written["slots"]["later"]
+    assert later["slots"] == 2 and 0.0 < later["error_m"] < 2.0
+    # the stages are all that a slot takes
+    assert sum(each["median"] for each in later["stages_s"].values()) <= 1.05 * later["wall_s"]["most"]
+    assert written["screen"]["poses_per_s"] > 0.0 and written["memory"]["peak_rss_mb"] > 100.0
+    tables = written["tables"]
+    assert 0.0 < tables["disk_mb"] < tables["memory_mb"] < tables["library_mb"]
+    capsys.readouterr()
+    scripts.run("benchmarks", "inference", "--draw", str(tmp_path / "figures.json"), monkeypatch=monkeypatch)
+    drawn = capsys.readouterr().out
+    assert all(f"| {name} |" in drawn for name in ours) and "The first look" in drawn
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:cells.volumes")
+def test_inference_searches_with_fewer_craft_other_attitudes_and_more_tones(tmp_path, monkeypatch):
+    parts = ("--parts", "craft", "candidates", "tones")
+    written = figures("inference", "--small", *parts, folder=tmp_path, monkeypatch=monkeypatch)
+    one, two = written["craft"]
+    assert two["poses"] == 2 * one["poses"] and one["craft_right"] == 1.0
+    assert written["candidates"][0]["poses"] < written["candidates"][1]["poses"]
+    single, several = written["tones"]
+    assert (single["tones"], several["tones"]) == (1, 2)
+    assert several["table_mb"] > 1.5 * single["table_mb"]
