@@ -53,6 +53,10 @@ NAMES = (
     "validation.observation",
     "inference.tilt",  # by flight: those that the prior of the attitude is counted from
     "inference.samples",  # by slot: what a posterior is drawn with
+    "inference.motion",  # by flight: those that a tracker learns the motion from
+    "follow.detection",  # where a detection puts a craft that is followed, by slot
+    "follow.echo",  # by slot: pilots and noise
+    "follow.search",  # by slot: what a tracker draws
 )
 """The streams. New ones go to the end: a stream's numbers depend on its place here."""
 _FIRST = 1 << 24

@@ -5,13 +5,10 @@ import json
 import re
 
 import numpy as np
-from made_up_posterior import made_up_posterior
 from made_up_track import made_up_track
 
 from august_jax.app import report
 from august_jax.scene import WorldCloud
-from august_jax.schemes import Answer
-from august_jax.schemes.matched_field import Found, Search
 
 SCORES = {"slots": [{"slot": 0, "note": "</script><b>"}], "schemes": [{"scheme": "august", "mpe_m": 0.1, "mde": None}]}
 
@@ -53,9 +50,8 @@ def test_clouds_come_back_from_the_page(tmp_path):
 def test_hypotheses_of_a_search_come_back_from_the_page(tmp_path):
     track = made_up_track(2)
     clouds = tuple(WorldCloud(track.resampled[1] + shift, np.ones(400), np.ones(400)) for shift in (0.0, 0.1))
-    search = Search(("quad_x",), 0, (Found(1, made_up_posterior(track.position[1]), Answer(), clouds),))
     scores = {"slots": [{"slot": 0, "search": None}, {"slot": 1, "search": {}}], "schemes": []}
-    first, second = payload(write(tmp_path / "report.html", track, scores, search=search))["slots"]
+    first, second = payload(write(tmp_path / "report.html", track, scores, hypotheses={1: clouds}))["slots"]
     assert first["hypothesis_points"] == []
     for text, cloud in zip(second["hypothesis_points"], clouds, strict=True):
         steps = np.frombuffer(base64.b64decode(text), "<i2").reshape(-1, 3)

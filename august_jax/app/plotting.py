@@ -1,6 +1,6 @@
-"""Pictures: training curves, clouds, accuracy over SNR with its baselines and bound. All go to files, none to a screen.
+"""Pictures: training curves, clouds, a flight, accuracy over SNR with its baselines and bound.
 
-Figures are made without pyplot, so that no global state of matplotlib changes.
+All go to files, none to a screen. Figures are made without pyplot, so that no global state of matplotlib changes.
 """
 
 from __future__ import annotations
@@ -120,6 +120,105 @@ def clouds(track: Track, png: str | Path, *, permittivity: tuple[float, float], 
     bar = figure.colorbar(drawn, ax=panels, shrink=0.5, pad=0.02, aspect=28)
     bar.set_label("relative permittivity")
     bar.outline.set_visible(False)
+    save(figure, png)
+
+
+def flight(track: Track, slots: Sequence[Mapping[str, Any]], png: str | Path, *, title: str) -> None:
+    """True, predicted and estimated track with the cloud of each slot; beside it errors, what they are expected to be,
+    and the craft, slot by slot.
+
+    Args:
+        track: what was true and what was found.
+        slots: one entry a slot, as :func:`august_jax.evaluation.followed.score_flown` gives them.
+        png: the picture.
+        title: heading.
+    """
+    figure = new_figure(15.0, 8.2)
+    grid = figure.add_gridspec(3, 2, width_ratios=(1.55, 1.0))
+    axes = figure.add_subplot(grid[:, 0], projection="3d")
+    estimate, numbers = track.estimated_position, 1 + np.arange(track.slots)
+    bearing = track.position.mean(axis=0)
+    azimuth = float(np.degrees(np.arctan2(-bearing[1], -bearing[0]))) + 30.0  # seen from beside the base station
+    every = max(1, -(-track.points.shape[1] // 250))
+    shade = axes.scatter(
+        *track.points[:, ::every].reshape(-1, 3).T,
+        c=np.repeat(numbers, track.points[:, ::every].shape[1]),
+        cmap="viridis",
+        s=4.0,
+        alpha=0.5,
+        linewidths=0,
+    )
+    lines: tuple[tuple[np.ndarray, dict[str, Any]], ...] = (
+        (track.position, {"color": TRUTH, "lw": 3.2, "alpha": 0.7, "label": "true"}),
+        (track.predicted, {"color": BASE, "ls": "--", "lw": 1.1, "marker": "x", "ms": 5, "label": "predicted"}),
+        (estimate, {"color": MODEL, "lw": 1.4, "marker": "o", "ms": 3.5, "label": "estimated"}),
+    )
+    for places, style in lines:
+        axes.plot(*places.T, **style)
+    lost = [row for row, slot in enumerate(slots) if slot["search"]["lost"]]
+    if lost:
+        axes.plot(*estimate[lost].T, ls="", marker="s", ms=10, mfc="none", mec="#a63d7b", mew=1.8, label="lost")
+    shown = np.concatenate([track.points.reshape(-1, 3), track.position, track.predicted])
+    low, high = shown.min(axis=0), shown.max(axis=0)
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
+    axes.set_box_aspect(np.maximum(high - low, 0.2), zoom=1.05)
+    axes.view_init(elev=24, azim=azimuth)
+    for name, axis in zip("xyz", (axes.xaxis, axes.yaxis, axes.zaxis)):
+        axis.set_pane_color((0.965, 0.973, 0.976, 1.0))
+        axis._axinfo["grid"].update(color=LINE, linewidth=0.6)
+        axis.set_label_text(f"{name} [m]")
+    axes.tick_params(colors=SOFT, labelsize=8)
+    axes.legend(loc="upper left", frameon=False, fontsize=10)
+    bar = figure.colorbar(shade, ax=axes, shrink=0.45, pad=0.06, aspect=28)
+    bar.set_label("slot of the cloud")
+    bar.outline.set_visible(False)
+    panels = [figure.add_subplot(grid[row, 1]) for row in range(3)]
+    place, attitude, craft = panels
+    errors: tuple[tuple[str, str, dict[str, Any]], ...] = (
+        ("predicted_error_m", "prediction", {"color": BASE, "ls": "--", "marker": "x", "ms": 5}),
+        ("position_error_m", "estimate", {"color": MODEL, "marker": "o", "ms": 4}),
+        ("expected_error_m", "expected of it", {"color": SOFT, "ls": ":"}),
+    )
+    for name, label, style in errors:
+        place.plot(numbers, [max(slot[name], 1e-4) for slot in slots], label=label, **style)
+    attitude.plot(
+        numbers,
+        [slot["normal_error_up_deg"] for slot in slots],
+        label="always up",
+        color=BASE,
+        ls="--",
+        marker="x",
+        ms=5,
+    )
+    attitude.plot(numbers, [max(slot["normal_error_deg"], 1e-2) for slot in slots], label="estimate", color=MODEL,
+                  marker="o", ms=4)  # fmt: skip
+    expected = [np.degrees(np.arccos(np.clip(1.0 - slot["expected_mde"], -1.0, 1.0))) for slot in slots]
+    attitude.plot(numbers, np.maximum(expected, 1e-2), label="expected of it", color=SOFT, ls=":")
+    for each in (place, attitude):
+        each.set_yscale("log")
+        low, high = np.log10(each.dataLim.intervaly)
+        each.set_ylim(10.0 ** np.floor(low), 10.0 ** np.ceil(high))
+        each.yaxis.set_major_formatter("{x:g}")
+        each.yaxis.set_minor_formatter("")
+    names = list(slots[0]["search"]["craft_probability"])
+    below = np.zeros(track.slots)
+    for name, colour in zip(names, ("#0a6ebd", "#2b9348", "#c8641b", "#8a6d1d", "#a63d7b", "#6a3fb5", "#7a8894") * 9):
+        share = np.array([slot["search"]["craft_probability"][name] for slot in slots])
+        craft.bar(numbers, share, bottom=below, color=colour, width=0.8, label=name)
+        below += share
+    for number, slot in zip(numbers, slots):
+        if not slot["search"]["explained"]:
+            craft.text(float(number), 1.02, "?", ha="center", fontsize=10, color="#a63d7b")
+    craft.set_ylim(0.0, 1.12)
+    for each, label in zip(
+        panels, ("position error [m]", "attitude error [degrees]", "probability of each known craft (?: unexplained)")
+    ):
+        each.set_title(label, loc="left", fontsize=11)
+        each.set_xlim(0.3, track.slots + 0.7)
+        each.legend(frameon=each is craft, framealpha=0.85, fontsize=8.5, loc="lower left", ncols=5)
+        _tidy(each)
+    craft.set_xlabel("slot")
+    figure.suptitle(title, x=0.01, ha="left", fontsize=12, fontweight="bold")
     save(figure, png)
 
 

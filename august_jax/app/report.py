@@ -1,4 +1,4 @@
-"""The report of a demo or a reconstruction: one HTML file that works offline, with a turnable view of both clouds.
+"""The report of a demo, a reconstruction or a track: one HTML file that works offline, with turnable views.
 
 The page is ``viewer.html`` with the numbers put in as JSON. Points go in as 16-bit integers of ``QUANTUM_M`` about the
 true position of their slot, materials as bytes of their range, so that fifty slots of a thousand points stay below
@@ -20,7 +20,7 @@ import numpy as np
 from august_jax.files import write_text
 
 if TYPE_CHECKING:
-    from august_jax.schemes.matched_field import Search
+    from august_jax.scene import WorldCloud
     from august_jax.tracking import Track
 
 QUANTUM_M = 1e-4
@@ -39,7 +39,8 @@ def write_report(
     following: Sequence[tuple[str, str]],
     permittivity: tuple[float, float],
     conductivity: tuple[float, float],
-    search: Search | None = None,
+    scheme: tuple[str, str] = ("august", "AUGUST"),
+    hypotheses: Mapping[int, Sequence[WorldCloud]] | None = None,
 ) -> None:
     """Write the report of ``track``.
 
@@ -51,9 +52,10 @@ def write_report(
         setup: pairs of name and value that say how the clouds were made.
         following: pairs of a command and what it does.
         permittivity, conductivity: ranges of the colour scale, [1] and [S/m].
-        search: of some slots among known craft, as the scores tell it.
+        scheme: name of the one that made the clouds, and what it is called in charts.
+        hypotheses: slot -> surfaces of the hypotheses that its entry of the scores tells of, in their order.
     """
-    searched = {} if search is None else {found.slot: found for found in search.found}
+    hypotheses = hypotheses or {}
     ranges = {"permittivity": list(permittivity), "conductivity": list(conductivity)}
     about = track.position[:, None, :]
     truth, cloud = track.truth - about, track.points - about
@@ -71,6 +73,7 @@ def write_report(
         "grid_m": next((step for step in (0.02, 0.05, 0.1, 0.2, 0.5) if step > reach / 4), 1.0),
         # from the base station's side, turned a little and lifted, so that rotors and legs both show
         "view": {"turn": math.atan2(-bearing[1], -bearing[0]) + 0.5, "lift": 0.5},
+        "scheme": list(scheme),
         "scores": list(scores["schemes"]),
         "slots": [
             {
@@ -80,10 +83,8 @@ def write_report(
                 "point_permittivity": _levels(track.point_permittivity[index], permittivity),
                 "point_conductivity": _levels(track.point_conductivity[index], conductivity),
                 "hypothesis_points": [
-                    _coordinates(each.points - track.position[index]) for each in searched[index].clouds
-                ]
-                if index in searched
-                else [],
+                    _coordinates(np.asarray(each.points) - track.position[index]) for each in hypotheses.get(index, ())
+                ],
             }
             for index, slot in enumerate(scores["slots"])
         ],

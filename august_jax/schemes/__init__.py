@@ -5,6 +5,7 @@ Evaluation loops over :data:`SCHEMES`, in this order.
 
 from august_jax.schemes.answer import Answer, Ask, Scheme, Setting, Slots, Truth
 from august_jax.schemes.baselines import MEAN_SHAPE, PREDICTION, RESAMPLING, UP, mean_shape
+from august_jax.schemes.followed import Flown, follow_flight
 from august_jax.schemes.matched_field import MATCHED_FIELD
 from august_jax.schemes.networks import AUGUST
 
@@ -13,4 +14,4 @@ SCHEMES: dict[str, Scheme] = {
 }
 """The schemes by name."""
 
-__all__ = ["SCHEMES", "Answer", "Ask", "Scheme", "Setting", "Slots", "Truth", "mean_shape"]
+__all__ = ["SCHEMES", "Answer", "Ask", "Flown", "Scheme", "Setting", "Slots", "Truth", "follow_flight", "mean_shape"]

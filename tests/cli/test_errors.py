@@ -24,6 +24,10 @@ CASES = {
     "no slots": ("demo --slots 0", ["--slots", "'0'", "from 1 to"]),
     "huge flight": ("demo --slots 1000000000", ["--slots", "from 1 to 100000"]),
     "huge seed": ("demo --seed 99999999999999999999", ["--seed", "2147483647"]),
+    "unknown style of flight": ("track --style loops", ["--style", "'loops'", "smooth", "dynamic", "jump"]),
+    "flight too short to follow": ("track --preset smoke --slots 3", ["--slots: 3", "too short", "4 or more"]),
+    "unknown craft to follow": ("track --airframe quadx", ["quadx", "quad_plus", "mesh file"]),
+    "library with a craft twice": ("track --preset smoke target.airframes=[quad_x,quad_x]", ["quad_x", "twice"]),
     "odd digit": ("demo --seed \u00b2", ["--seed", "whole number"]),
     "negative seed": ("demo --seed -1", ["--seed", "'-1'", "from 0 to"]),
     "index that is none": ("export somewhere --format ply --index 1.5", ["--index", "'1.5'", "whole number"]),
@@ -133,7 +137,9 @@ def test_interrupt_is_told_in_one_line(capsys, monkeypatch):
     assert (status, out, len(err.splitlines())) == (130, "", 1)
 
 
-@pytest.mark.parametrize("words", [[], ["--help"], ["demo", "--help"], ["reconstruct", "-h"], ["--version"]])
+@pytest.mark.parametrize(
+    "words", [[], ["--help"], ["demo", "--help"], ["reconstruct", "-h"], ["track", "--help"], ["--version"]]
+)
 def test_help_goes_to_stdout(capsys, words):
     status, out, err = run(capsys, words)
     assert (status, err) == (0, "")

@@ -18,7 +18,7 @@ _MARKS = {
     "manifest.json": "august simulate",
     "checkpoints": "august train",
     "weights.npz": "august train",
-    "clouds.npz": "august demo or august reconstruct",
+    "clouds.npz": "august demo, august reconstruct or august track",
 }
 """What is in a folder -> which command keeps its config.yaml there."""
 

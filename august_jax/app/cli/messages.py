@@ -38,6 +38,7 @@ FLAGS = {
     "seed": "--seed",
     "shard": "--shard",
     "slots": "--slots",
+    "style": "--style",
     "snr": "--snr",
     "snr_db": "--snr",
     "unit": "--unit",

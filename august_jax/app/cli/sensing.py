@@ -118,12 +118,11 @@ def sensed(
         **({"craft": dict(craft)} if craft else {}),
         **scores,
     }
-    span = {"permittivity": config.target.permittivity, "conductivity": config.target.conductivity_s_m}
     write_record(out / "clouds.npz", track.record())
     write_ply(out / "cloud.ply", track.points[-1], track.point_permittivity[-1], track.point_conductivity[-1])
     write_text(out / "metrics.json", json.dumps(metrics, indent=1, allow_nan=False))
     write_text(out / "config.yaml", configuration.to_yaml(config))
-    plotting.clouds(track, out / f"{command}.png", permittivity=span["permittivity"], title=title)
+    plotting.clouds(track, out / f"{command}.png", permittivity=config.target.permittivity, title=title)
     report.write_report(
         out / "report.html",
         track,
@@ -133,8 +132,9 @@ def sensed(
         note=evaluation.NOTE,
         setup=setup,
         following=following,
-        search=search,
-        **span,
+        hypotheses={} if search is None else {found.slot: found.clouds for found in search.found},
+        permittivity=config.target.permittivity,
+        conductivity=config.target.conductivity_s_m,
     )
     files = ["report.html", f"{command}.png", "cloud.ply", "metrics.json", "config.yaml", "clouds.npz"]
     say(args, f"\n{title}\n{lead}\n")

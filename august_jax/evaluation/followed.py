@@ -1,0 +1,114 @@
+"""A flight that was followed against the truth, slot by slot and on average, beside answering the prediction."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from august_jax.config import Config
+from august_jax.evaluation import calibration
+from august_jax.evaluation.score import Row, score_track
+from august_jax.inference.follow import Step
+from august_jax.schemes.followed import Flown
+
+FOLLOWED = "followed"
+"""Name of the scheme in rows and pictures."""
+SETTLED = 5
+"""From this slot on a flight is averaged on its own as well: before, detections say where to listen, and the level of
+the gain is being learned."""
+
+
+def score_flown(flown: Flown, config: Config, size_m: float, *, seed: int = 0) -> dict[str, list[Row]]:
+    """Errors of a followed flight.
+
+    Args:
+        flown: of :func:`august_jax.schemes.followed.follow_flight`.
+        config: that it was followed with.
+        size_m: half-wheelbase of the craft [m].
+        seed: of what the baselines draw.
+
+    Returns:
+        ``slots`` and ``schemes`` as :func:`august_jax.evaluation.score_track` has them, ``followed`` in the place of
+        the networks. Each slot also has ``expected_error_m`` and ``expected_mde``, what the posterior itself expects
+        its means to err by; ``level``, the probability of the smallest credible region that holds the true position;
+        and ``search``: ``craft`` (its name, None where nothing known explains the echo), ``craft_probability`` by name,
+        ``explained``, ``probability`` (that noise leaves as much), ``position`` [m], ``normal``, ``hypotheses``, most
+        probable first (``craft``, ``probability``, ``position``, ``normal``, ``heading_deg``, ``permittivity``,
+        ``conductivity``), ``detected`` (a detection said where to listen), ``whole`` (all attitudes of all craft were
+        searched), ``lost``, and ``seconds``. ``summary``: one row over all slots and one over those from SETTLED on:
+        ``slots`` (first and last), ``mpe_m``, ``mde``, ``predicted_m``, ``expected_m``, ``expected_mde``,
+        ``craft_accuracy`` (None where the craft is not known), ``explained``, ``inside_50``, ``inside_90``, ``lost``,
+        ``whole``, ``seconds`` (median).
+    """
+    scores = score_track(flown.track, config, size_m, seed=seed)
+    slots = [
+        slot | _told(step, flown, position)
+        for slot, step, position in zip(scores["slots"], flown.steps, flown.track.position, strict=True)
+    ]
+    schemes = []
+    for row in scores["schemes"]:
+        mine = (
+            {"scheme": FOLLOWED, "label": "hypotheses carried from slot to slot"} if row["scheme"] == "august" else {}
+        )
+        schemes.append(row | mine)
+    summary = [_summary(slots, flown, first) for first in sorted({0, min(SETTLED, len(slots) - 1)})]
+    return {"slots": slots, "schemes": schemes, "summary": summary}
+
+
+def _told(step: Step, flown: Flown, position: np.ndarray) -> Row:
+    alike = np.full(len(step.samples), 1.0 / len(step.samples))
+    best = int(np.argmax(step.craft_probability))
+    shown = len(flown.clouds[step.slot])
+    return {
+        "expected_error_m": step.expected_error_m,
+        "expected_mde": step.expected_mde,
+        "level": float(calibration.position_level(step.samples, alike, np.asarray(position, float))),
+        "search": {
+            "craft": flown.names[best] if step.explained else None,
+            "craft_probability": dict(zip(flown.names, map(float, step.craft_probability), strict=True)),
+            "explained": bool(step.explained),
+            "probability": step.probability,
+            "position": step.mean_position.tolist(),
+            "normal": step.mean_normal.tolist(),
+            "hypotheses": [
+                {
+                    "craft": flown.names[int(step.craft[row])],
+                    "probability": float(step.weight[row]),
+                    "position": step.position[row].tolist(),
+                    "normal": step.rotation[row][:, 2].tolist(),
+                    "heading_deg": float(np.degrees(np.arctan2(step.rotation[row][1, 0], step.rotation[row][0, 0]))),
+                    "permittivity": float(step.permittivity[row]),
+                    "conductivity": float(step.conductivity[row]),
+                }
+                for row in range(shown)
+            ],
+            "detected": bool(step.detected),
+            "whole": bool(step.searched),
+            "lost": bool(step.lost),
+            "seconds": step.seconds,
+        },
+    }
+
+
+def _summary(slots: list[Row], flown: Flown, first: int) -> Row:
+    chosen, searches = slots[first:], [slot["search"] for slot in slots[first:]]
+
+    def mean(values):
+        return float(np.mean(np.asarray(list(values), float)))
+
+    own = None if flown.craft is None else flown.names[flown.craft]
+    normals = [1.0 - np.dot(slot["normal"], slot["normal_estimate"]) for slot in chosen]
+    return {
+        "slots": [first, len(slots) - 1],
+        "mpe_m": mean(slot["position_error_m"] for slot in chosen),
+        "mde": mean(normals),
+        "predicted_m": mean(slot["predicted_error_m"] for slot in chosen),
+        "expected_m": mean(slot["expected_error_m"] for slot in chosen),
+        "expected_mde": mean(slot["expected_mde"] for slot in chosen),
+        "craft_accuracy": None if own is None else mean(each["craft"] == own for each in searches),
+        "explained": mean(each["explained"] for each in searches),
+        "inside_50": mean(slot["level"] <= 0.5 for slot in chosen),
+        "inside_90": mean(slot["level"] <= 0.9 for slot in chosen),
+        "lost": sum(each["lost"] for each in searches),
+        "whole": sum(each["whole"] for each in searches),
+        "seconds": float(np.median([each["seconds"] for each in searches])),
+    }
