@@ -42,9 +42,7 @@ def run_files(run: str | Path | None = None) -> tuple[Path, Path]:
     files = folder / "config.yaml", folder / "weights.npz"
     for path in files:
         if not path.is_file():
-            raise ValueError(
-                f"run: {path} is not there; give a run that august train wrote, or use the shipped weights"
-            )
+            raise ValueError(f"run: {path} is not there; give what august train wrote, or use the shipped weights")
     return files
 
 
@@ -58,8 +56,7 @@ def load_networks(run: str | Path | None = None) -> Networks:
 
     settings, weights = run_files(run)
     config = configuration.read(settings)
-    graphdef, state = load_weights(weights, config)
-    return Networks("shipped laptop weights" if run is None else str(run), config, graphdef, state)
+    return Networks("shipped laptop weights" if run is None else str(run), config, *load_weights(weights, config))
 
 
 @streams.pin
@@ -110,15 +107,14 @@ def sense(
         lambda leaf: np.asarray(leaf, np.complex64 if jnp.iscomplexobj(leaf) else np.float64),
         _followed(networks, streams.key(seed, "sense.slot"), channels, detected, config, predictor, snr_db),
     )
-    points = config.target.points
     return Track(
         time_s=np.asarray(scenario.time_s),
         position=scenario.positions,
         rotation=scenario.rotations,
         permittivity=scenario.permittivity,
         conductivity=scenario.conductivity,
-        truth=scenario.surface(streams.key(seed, "sense.label"), points),
-        resampled=scenario.surface(streams.key(seed, "sense.resampling"), points),
+        truth=scenario.surface(streams.key(seed, "sense.label"), config.target.points),
+        resampled=scenario.surface(streams.key(seed, "sense.resampling"), config.target.points),
         predicted=seen.predicted,
         snr_db=seen.snr_db,
         points=seen.found.cloud.points,

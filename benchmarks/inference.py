@@ -463,9 +463,15 @@ def markdown(figures: Figures) -> str:
                 error += "; of derivatives " + ", ".join(
                     f"{value:.1e} ({name})" for name, value in row["derivative_errors"].items()
                 )
-            ratios = [f"{row[f'{name}_over_it']:.3g}" if f"{name}_over_it" in row else "-" for name in ("LU", "body")]
+            ratios = [
+                f"{row[f'{name}_over_it']:.3g}" if f"{name}_over_it" in row else "-"
+                for name in ("torchgdm", "LU", "body")
+            ]
             rows.append([row["route"], _time(row["seconds"]), f"{1.0 / row['seconds']:.3g}", error, *ratios])
-        add(["route", "a pose", "a second", "error: median, worst", "times LU", "times the body"], rows)
+        add(
+            ["route", "a pose", "a second", "error: median, worst", "times torchgdm", "times LU", "times the body"],
+            rows,
+        )
     if "screen" in figures:
         row = figures["screen"]
         parts.append(

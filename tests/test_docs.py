@@ -143,6 +143,7 @@ PACKAGES = (
     "schemes",
     "tracking",
     "evaluation",
+    "evaluation.calibration",
     "training",
     "config",
     "streams",
