@@ -11,7 +11,7 @@ import pytest
 from august_jax.config import preset
 from august_jax.data import generate, prepare_targets, unpack
 from august_jax.inference import Prior, find_craft, known_craft, refined
-from august_jax.inference.hypotheses import log_mean_likelihood
+from august_jax.inference.population import log_mean_likelihood
 from august_jax.inference.prior import TILT_BINS
 from august_jax.inference.refine import begin, cost, improved, polished
 from august_jax.inference.screen import attitude_lattice, moved_statistics, screen
@@ -244,29 +244,38 @@ def test_refinement_finds_the_pose_from_nearby():
     assert float(cost(after, statistics, prior())[0]) < best + 3.0
 
 
-def test_posterior_against_brute_force():
-    """Two craft, 8 antennas, -12 dB: craft probabilities and the mean position from some 10^5 draws of the prior."""
-    known, statistics = library(), heard(2, -12.0)
+@pytest.mark.parametrize("snr_db", [-12.0, -18.0])
+def test_posterior_against_brute_force(snr_db):
+    """Two craft, 8 antennas, little power: craft probabilities and moments of the place from 8e4 draws of the prior,
+    within five deviations of what so many draws allow."""
+    known, statistics, wide = library(), heard(2, snr_db), 40_000
     found = find_craft(known, statistics, prior(), key=jax.random.key(0))
-    wide = 40_000
     rng = np.random.default_rng(1)
-    totals, means = [], []
+    logs, places, crafts = [], [], np.repeat([0, 1], wide)
     for craft in range(2):
         rotation = attitude_lattice(float(np.degrees(prior().tilt_rad)) - 1e-3, 3.0)
         rotation = rotation[rng.integers(0, len(rotation), wide)]
         position = np.asarray(statistics.centre) + rng.uniform(-0.5, 0.5, (wide, 3))
         permittivity = rng.uniform(*CONFIG.target.permittivity, wide)
         conductivity = rng.uniform(*CONFIG.target.conductivity_s_m, wide)
-        log_weight = brute(known, statistics, craft, rotation, position, permittivity, conductivity)
-        log_weight = log_weight + np.asarray(prior().log_tilt(jnp.asarray(rotation)))
-        totals.append(np.logaddexp.reduce(log_weight))
-        weight = np.exp(log_weight - log_weight.max())
-        means.append((weight @ position) / weight.sum())
-        assert weight.sum() ** 2 / np.sum(weight**2) > 30.0  # so few draws count: errors of a tenth
-    probability = np.exp(totals - np.logaddexp.reduce(totals))
-    mean = probability @ np.asarray(means)
-    np.testing.assert_allclose(found.craft_probability, probability, atol=0.25)  # of some 30 draws that count
-    assert np.linalg.norm(found.mean_position - mean) < 0.2  # where the posterior itself is 0.4 m wide
+        likely = brute(known, statistics, craft, rotation, position, permittivity, conductivity)
+        logs.append(likely + np.asarray(prior().log_tilt(jnp.asarray(rotation))))
+        places.append(position)
+    weight = np.exp(np.concatenate(logs) - np.max(logs))
+    weight /= weight.sum()
+    draws = 1.0 / np.sum(weight**2)
+    assert draws > 2000.0
+    assert found.effective > 300.0
+    chance = np.sqrt(1.0 / draws + 1.0 / found.effective)
+    probability = np.bincount(crafts, weight)
+    spread = np.sqrt(probability * (1.0 - probability))
+    assert np.all(np.abs(found.craft_probability - probability) < 5.0 * chance * spread)
+    position = np.concatenate(places)
+    mean = weight @ position
+    width = np.sqrt(weight @ (position - mean) ** 2)
+    assert np.all(np.abs(found.mean_position - mean) < 5.0 * chance * width)
+    own = np.sqrt(np.diagonal(found.position_covariance))
+    np.testing.assert_allclose(own, width, rtol=5.0 * chance)
 
 
 @jax.jit

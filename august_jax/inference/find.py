@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
@@ -12,17 +13,9 @@ from jaxtyping import Float
 
 from august_jax.arrays import Array
 from august_jax.data.simulator import contrast_of
-from august_jax.inference.hypotheses import (
-    Hypotheses,
-    Mixture,
-    Posterior,
-    covariances,
-    distinct,
-    evidence,
-    sampled,
-    shared_out,
-)
+from august_jax.inference.hypotheses import Hypotheses, Posterior, covariances, distinct, evidence, nearest, shared_out
 from august_jax.inference.library import Library
+from august_jax.inference.population import Mixture, Poses, mixture, populate
 from august_jax.inference.prior import Prior
 from august_jax.inference.refine import Candidates, begin, corrections, cost, improved, polished
 from august_jax.inference.screen import screen
@@ -55,11 +48,11 @@ _STAGES = (
 _MODES = 12
 _SHAKEN = 16
 _SHAKEN_SNR_DB = 14.0
-_PARTS = 32
-_PILOTS = 1024
-_FOLLOWED = 32
-_NARROWER = 0.6
-_SAMPLES = 2048
+_MOST = 32
+_SEEN = 2000
+_DRAWN = 320
+_TEMPER, _FLATTER = 0.4, 0.3
+_MATTERS = 0.3
 
 
 def find_craft(
@@ -100,15 +93,24 @@ def find_craft(
         loss = np.full(len(permittivity), float(prior.middle()[1]), np.float32)
         clock("screen")
         found = begin(table, subspace, statistics, seen.craft, seen.rotation, seen.position, permittivity, loss)
+        met = []
         for stage in _STAGES:
             heat = max(1.0, 10.0 ** ((snr_db - stage.snr_db) / 10.0))
             found = improved(table, subspace, statistics, prior, found, heat, steps=stage.steps)
             found = _best(found, statistics, prior, heat, stage.kept)
+            met.append(_best(found, statistics, prior, 1.0, min(stage.kept, _SEEN)))
     else:
         found = improved(table, subspace, statistics, prior, proposals, 1.0, steps=6)
+        met = [found]
     found = _shaken(library, statistics, prior, found, snr_db)
     clock("refine")
-    return _weighed(library, statistics, prior, found, key, level, clock, seconds)
+    exact = _beyond_the_table(library, statistics)
+    modes = _modes(library, statistics, prior, found, exact)
+    clock("polish")
+    first, corrections = _first(library, statistics, prior, modes, _joined([*met, found]), exact)
+    poses, log_weight = populate(key, table, subspace, statistics, prior, first, corrections)
+    clock("sample")
+    return _posterior(library, statistics, prior, modes, poses, log_weight, level, seconds)
 
 
 def refined(
@@ -136,47 +138,6 @@ def refined(
     )
     found = polished(library.body(craft), library.table, library.subspace, statistics, prior, start, steps=steps)
     return found, float(cost(found, statistics, prior)[0])
-
-
-def _mixture(library: Library, modes: Candidates, factor, share, size: int) -> Mixture:
-    """Student distributions about modes, filled up to ``size`` with parts that are never drawn."""
-    exact = [
-        corrections(
-            library.body(int(modes.craft[row])),
-            library.table,
-            library.subspace,
-            jax.tree.map(lambda leaf, row=row: jnp.asarray(leaf[row]), modes),
-        )
-        for row in range(len(share))
-    ]
-    spare = size - len(share)
-    rows = np.pad(np.arange(len(share)), (0, spare), mode="edge")
-    log_share = np.where(np.arange(size) < len(share), np.log(share[rows] / share.sum() + 1e-30), -1e9)
-    return Mixture(
-        jnp.asarray(modes.craft[rows]),
-        jnp.asarray(modes.rotation[rows]),
-        jnp.asarray(modes.position[rows]),
-        jnp.asarray(modes.permittivity[rows]),
-        jnp.asarray(factor[rows], jnp.float32),
-        jnp.asarray(log_share, jnp.float32),
-        jnp.stack(exact + exact[:1] * spare),
-    )
-
-
-def _resampled(poses, log_weight, part, modes: Candidates, factor):
-    """Parts about samples of the posterior, with narrower shapes than those that they were drawn from; None where no
-    sample lies inside the prior."""
-    if not np.any(log_weight > -np.inf):
-        return None
-    weight = np.exp(0.7 * (log_weight - log_weight.max()))  # tempered: one sample may weigh more than all others
-    places = (np.arange(_FOLLOWED) + 0.5) / _FOLLOWED
-    rows = np.minimum(np.searchsorted(np.cumsum(weight) / weight.sum(), places), len(weight) - 1)
-    craft, rotation, position, permittivity, conductivity = (leaf[rows] for leaf in poses)
-    own = part[rows]
-    followed = modes.at(own)._replace(
-        craft=craft, rotation=rotation, position=position, permittivity=permittivity, conductivity=conductivity
-    )
-    return followed, _NARROWER * factor[own]
 
 
 class _Clock:
@@ -290,82 +251,92 @@ def _shaken(library, statistics, prior, found, snr_db):
     )
     moved = improved(library.table, library.subspace, statistics, prior, moved, max(1.0, heat / 30.0), steps=3)
     moved = improved(library.table, library.subspace, statistics, prior, moved, 1.0, steps=8)
-    return jax.tree.map(lambda one, two: np.concatenate([one, two]), found, moved)
+    return _joined([found, moved])
 
 
-def _weighed(library, statistics, prior, found, key, level, clock, seconds):
+def _joined(parts: Sequence[Candidates]) -> Candidates:
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
+
+
+def _beyond_the_table(library: Library, statistics: Statistics) -> bool:
+    """Whether the echo is so strong that a table's errors stand out of the noise, and factored bodies are asked."""
+    energy = float(jnp.sum(jnp.abs(statistics.received) ** 2)) - statistics.received.size
+    return energy * float(np.max(np.asarray(library.table.errors)[..., 0])) ** 2 > _MATTERS
+
+
+def _modes(library, statistics, prior, found, exact):
+    """The explanations that differ, at the floors of their valleys, best first."""
+    modes = found.at(distinct(found, _worth(found, statistics, prior), prior, _MOST))
+    if exact:
+        modes = _joined(
+            [
+                polished(
+                    library.body(int(modes.craft[row])),
+                    library.table,
+                    library.subspace,
+                    statistics,
+                    prior,
+                    jax.tree.map(lambda leaf, row=row: jnp.asarray(leaf[row : row + 1]), modes),
+                    steps=24 if row < 4 else 6,
+                )
+                for row in range(len(modes.craft))
+            ]
+        )
+    else:
+        modes = improved(library.table, library.subspace, statistics, prior, modes, steps=8)
+    modes = modes.at(distinct(modes, _worth(modes, statistics, prior), prior, _MOST))
+    return modes.at(np.argsort(-evidence(modes, statistics, prior), kind="stable"))
+
+
+def _first(library, statistics, prior, modes, met, exact) -> tuple[Mixture, np.ndarray]:
+    """The mixture that samples begin with, and the corrections about its modes: parts about the modes and, because an
+    echo of little power has more explanations than can be told apart, about many of the candidates met on the way."""
+    scores = evidence(met, statistics, prior)
+    weight = np.exp(_TEMPER * (scores - scores.max()))
+    marks = (np.arange(_DRAWN) + 0.5) / _DRAWN
+    rows = np.minimum(np.searchsorted(np.cumsum(weight) / weight.sum(), marks), len(weight) - 1)
+    parts = _joined([modes, met.at(np.unique(rows))])
+    scores = evidence(parts, statistics, prior)
+    share, tempered = np.exp(scores - scores.max()), np.exp(_FLATTER * (scores - scores.max()))
+    share = 0.6 * share / share.sum() + 0.4 * tempered / tempered.sum()
+    values = np.zeros((_MOST + 1, *statistics.received.shape), np.complex64)  # the last one is none
+    for row in range(len(modes.craft) if exact else 0):
+        mode = jax.tree.map(lambda leaf, row=row: jnp.asarray(leaf[row]), modes)
+        values[row] = corrections(library.body(int(modes.craft[row])), library.table, library.subspace, mode)
+    return mixture(parts, share, nearest(modes, parts.craft, parts.rotation, parts.position), prior), values
+
+
+def _posterior(library, statistics, prior, modes: Candidates, poses: Poses, log_weight, level, seconds):
     from scipy.stats import chi2
 
-    rows = distinct(found, _worth(found, statistics, prior), prior, _PARTS)
-    modes = found.at(rows)
-    polished_modes = [
-        polished(
-            library.body(int(modes.craft[row])),
-            library.table,
-            library.subspace,
-            statistics,
-            prior,
-            jax.tree.map(lambda leaf, row=row: jnp.asarray(leaf[row : row + 1]), modes),
-            steps=24 if row < 4 else 6,
-        )
-        for row in range(len(rows))
-    ]
-    modes = jax.tree.map(lambda *leaves: np.concatenate([np.asarray(leaf) for leaf in leaves]), *polished_modes)
-    modes = modes.at(distinct(modes, _worth(modes, statistics, prior), prior, _PARTS))
-    clock("polish")
-    scores = evidence(modes, statistics, prior)
-    order = np.argsort(-scores)
-    modes, scores = modes.at(order), scores[order]
-    weight = np.exp(scores - scores.max())
-    weight /= weight.sum()
-    tempered = np.exp(0.3 * (scores - scores.max()))
-    share = 0.6 * weight + 0.4 * tempered / tempered.sum()
-    inverse = covariances(modes, prior)
-    narrowed = inverse[:, :7, :7]
-    factor = np.linalg.cholesky(narrowed + 1e-12 * np.eye(7) * np.diagonal(narrowed, axis1=1, axis2=2).max())
-    first = _mixture(library, modes, factor, share, _PARTS)
-    begin_key, end_key = jax.random.split(key)
-    shared = (library.table, library.subspace, statistics, prior)
-    # The second mixture follows where a posterior bends: it has parts about samples that the first one met.
-    *poses, log_weight, part = (np.asarray(leaf) for leaf in sampled(begin_key, *shared, first, _PILOTS))
-    found = _resampled(poses, log_weight, part, modes, factor)
-    if found is not None:
-        followed, narrow = found
-        factor = np.concatenate([factor, narrow])
-        share = np.concatenate([0.35 * share / share.sum(), np.full(_FOLLOWED, 0.65 / _FOLLOWED)])
-        modes_too = jax.tree.map(lambda *leaves: np.concatenate(leaves), modes, followed)
-        mixture = _mixture(library, modes_too, factor, share, _PARTS + _FOLLOWED)
-    else:
-        mixture = first
-    samples = sampled(end_key, *shared, mixture, _SAMPLES)
-    craft, rotation, position, permittivity, conductivity, log_weight, _ = (np.asarray(leaf) for leaf in samples)
-    log_weight = log_weight.astype(np.float64)
     if np.all(np.isneginf(log_weight)):  # every sample fell outside of the prior: the modes lie at its edge
         log_weight = np.zeros_like(log_weight)
-    log_weight -= log_weight.max()
-    log_weight -= np.log(np.sum(np.exp(log_weight)))
+    log_weight = log_weight - np.logaddexp.reduce(log_weight)
     real = log_weight > -np.inf
-    clock("sample")
-    count = statistics.received.size
+    poses, log_weight = jax.tree.map(lambda leaf: leaf[real], poses), log_weight[real]
+    own = nearest(modes, poses.craft, poses.rotation, poses.position)
+    weight = np.bincount(own[own >= 0], np.exp(log_weight[own >= 0]), len(modes.craft))
+    order = np.argsort(-weight, kind="stable")
+    modes, weight = modes.at(order), weight[order] / weight.sum()
     residual = float(np.min(modes.residual))
-    degrees = 2 * count - 10
+    degrees = 2 * statistics.received.size - 10
     return Posterior(
         Hypotheses(
-            modes.craft,
-            modes.rotation,
-            modes.position,
-            modes.permittivity,
-            modes.conductivity,
+            np.asarray(modes.craft),
+            np.asarray(modes.rotation),
+            np.asarray(modes.position),
+            np.asarray(modes.permittivity),
+            np.asarray(modes.conductivity),
             weight,
-            modes.residual,
-            inverse[:, :8, :8],
+            np.asarray(modes.residual),
+            covariances(modes, prior)[:, :8, :8],
         ),
-        craft[real],
-        rotation[real],
-        position[real],
-        permittivity[real],
-        conductivity[real],
-        log_weight[real],
+        np.asarray(poses.craft),
+        np.asarray(poses.rotation),
+        np.asarray(poses.position),
+        np.asarray(poses.permittivity),
+        np.asarray(poses.conductivity),
+        log_weight,
         len(library.targets),
         float(1.0 / np.sum(np.exp(2.0 * log_weight))),
         residual,

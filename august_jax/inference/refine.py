@@ -83,7 +83,7 @@ def begin(
 ) -> Candidates:
     """Candidates of given poses and materials, with the phase of the gain that suits them and its level as known."""
     reals = [np.asarray(part, np.float32) for part in (rotation, position, permittivity, conductivity)]
-    return _in_pieces(lambda piece: _begun(table, subspace, statistics, *piece), (np.asarray(craft, np.int32), *reals))
+    return in_pieces(lambda piece: _begun(table, subspace, statistics, *piece), (np.asarray(craft, np.int32), *reals))
 
 
 def improved(
@@ -97,12 +97,10 @@ def improved(
     steps: int = 1,
 ) -> Candidates:
     """Candidates after ``steps`` steps each."""
-    return _in_pieces(
-        lambda piece: _improved(table, subspace, statistics, prior, piece, temperature, steps), candidates
-    )
+    return in_pieces(lambda piece: _improved(table, subspace, statistics, prior, piece, temperature, steps), candidates)
 
 
-def _in_pieces(function: Callable[[Any], Any], tree: Any) -> Any:
+def in_pieces(function: Callable[[Any], Any], tree: Any) -> Any:
     """``function`` of a tree of arrays with a common first axis, so many rows at a time: one shape to compile for; and
     two pieces at once, because small products keep one core busy."""
     tree = jax.tree.map(np.asarray, tree)
