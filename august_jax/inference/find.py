@@ -344,5 +344,5 @@ def _posterior(library, statistics, prior, modes: Candidates, poses: Poses, log_
         float(chi2.sf(2.0 * residual, degrees)),
         level,
         seconds,
-        float(chi2.sf(2.0 * float(jnp.sum(jnp.abs(statistics.received) ** 2)), 2 * count)),
+        float(chi2.sf(2.0 * float(jnp.sum(jnp.abs(statistics.received) ** 2)), 2 * statistics.received.size)),
     )
