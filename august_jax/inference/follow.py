@@ -40,7 +40,7 @@ from august_jax.inference.hypotheses import distinct
 from august_jax.inference.library import Library
 from august_jax.inference.motion import AXIS, HEADING, PLACE, SEEN, SIZE, Motion
 from august_jax.inference.prior import Prior
-from august_jax.inference.refine import Candidates, _in_pieces, _judged, _solved
+from august_jax.inference.refine import Candidates, in_pieces, _judged, _solved
 from august_jax.physics.parameters import rotation_from_vector
 from august_jax.progress import Progress, silent
 from august_jax.scene.pose import rotation_from_axis_yaw
@@ -272,7 +272,7 @@ class Follower:
         rng = np.random.default_rng([self._seed, self._slot])
         weights = np.array([each.log_weight for each in parents])
         seeds, which = _seeds(rng, parents, _LOOKED, self._bearing(statistics), library, np.asarray(ranges))
-        found = _in_pieces(lambda piece: _begun_at(*shared, *piece), seeds)
+        found = in_pieces(lambda piece: _begun_at(*shared, *piece), seeds)
 
         def climbed(heat, steps, piece):
             return _climbed(*shared, expected, ranges, *piece, heat, steps)
@@ -280,7 +280,7 @@ class Follower:
         snr_db = _echo_snr_db(statistics, library)
         for kept, steps, noise_db in _STAGES:
             heat = jnp.float32(max(1.0, 10.0 ** ((snr_db - noise_db) / 10.0)))
-            found, which = _in_pieces(partial(climbed, heat, steps), (found, which))
+            found, which = in_pieces(partial(climbed, heat, steps), (found, which))
             rows = _shared_rows(_worth(found, expected, which, heat) - weights[which] / float(heat), which, kept)
             found, which = found.at(rows), which[rows]
         worth = _worth(found, expected, which, 1.0) - weights[which]
@@ -352,7 +352,7 @@ class Follower:
             ),
         )
         shared = (library.table, library.subspace, statistics)
-        begun = _in_pieces(lambda piece: _begun_at(*shared, *piece), start)
+        begun = in_pieces(lambda piece: _begun_at(*shared, *piece), start)
         return self._polished(statistics, parents, begun, which, 2 * _POLISH)  # the gain is not known yet
 
     def _probability(self, found: Sequence[_Child]) -> float:
