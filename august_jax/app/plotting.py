@@ -133,6 +133,8 @@ def flight(track: Track, slots: Sequence[Mapping[str, Any]], png: str | Path, *,
         png: the picture.
         title: heading.
     """
+    from matplotlib.ticker import MaxNLocator
+
     figure = new_figure(15.0, 8.2)
     grid = figure.add_gridspec(3, 2, width_ratios=(1.55, 1.0))
     axes = figure.add_subplot(grid[:, 0], projection="3d")
@@ -144,8 +146,8 @@ def flight(track: Track, slots: Sequence[Mapping[str, Any]], png: str | Path, *,
         *track.points[:, ::every].reshape(-1, 3).T,
         c=np.repeat(numbers, track.points[:, ::every].shape[1]),
         cmap="viridis",
-        s=4.0,
-        alpha=0.5,
+        s=5.0,
+        alpha=0.6,
         linewidths=0,
     )
     lines: tuple[tuple[np.ndarray, dict[str, Any]], ...] = (
@@ -171,6 +173,7 @@ def flight(track: Track, slots: Sequence[Mapping[str, Any]], png: str | Path, *,
     axes.legend(loc="upper left", frameon=False, fontsize=10)
     bar = figure.colorbar(shade, ax=axes, shrink=0.45, pad=0.06, aspect=28)
     bar.set_label("slot of the cloud")
+    bar.locator = MaxNLocator(integer=True)
     bar.outline.set_visible(False)
     panels = [figure.add_subplot(grid[row, 1]) for row in range(3)]
     place, attitude, craft = panels
@@ -215,6 +218,7 @@ def flight(track: Track, slots: Sequence[Mapping[str, Any]], png: str | Path, *,
     ):
         each.set_title(label, loc="left", fontsize=11)
         each.set_xlim(0.3, track.slots + 0.7)
+        each.xaxis.set_major_locator(MaxNLocator(integer=True))
         each.legend(frameon=each is craft, framealpha=0.85, fontsize=8.5, loc="lower left", ncols=5)
         _tidy(each)
     craft.set_xlabel("slot")
