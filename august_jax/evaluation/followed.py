@@ -30,7 +30,7 @@ def score_flown(flown: Flown, config: Config, size_m: float, *, seed: int = 0) -
         ``slots`` and ``schemes`` as :func:`august_jax.evaluation.score_track` has them, ``followed`` in the place of
         the networks. Each slot also has ``expected_error_m`` and ``expected_mde``, what the posterior itself expects
         its means to err by; ``level``, the probability of the smallest credible region that holds the true position;
-        and ``search``: ``craft`` (its name, None where nothing known explains the echo), ``craft_probability`` by name,
+        and ``search``: ``craft`` (its name, None where it is lost), ``craft_probability`` by name,
         ``explained``, ``probability`` (that noise leaves as much), ``position`` [m], ``normal``, ``hypotheses``, most
         probable first (``craft``, ``probability``, ``position``, ``normal``, ``heading_deg``, ``permittivity``,
         ``conductivity``), ``detected`` (a detection said where to listen), ``whole`` (all attitudes of all craft were
@@ -63,7 +63,7 @@ def _told(step: Step, flown: Flown, position: np.ndarray) -> Row:
         "expected_mde": step.expected_mde,
         "level": float(calibration.position_level(step.samples, alike, np.asarray(position, float))),
         "search": {
-            "craft": flown.names[best] if step.explained else None,
+            "craft": None if step.lost else flown.names[best],
             "craft_probability": dict(zip(flown.names, map(float, step.craft_probability), strict=True)),
             "explained": bool(step.explained),
             "probability": step.probability,

@@ -14,9 +14,9 @@ filter of iterated updates. What stays (craft, material, level of the gain) is l
 the power of an echo tells the range, which one echo hardly does.
 
 The whole search (:func:`august_jax.inference.find_craft`) is made at the start and wherever the best hypothesis
-leaves more of an echo than noise would. Where that explains nothing either, the craft is lost: the slot says so,
-craft, material and gain are kept, and the next slots are listened to where a detection puts it, as the first ones
-are.
+leaves more of an echo than noise would, or moved as flights hardly do. Where that explains nothing either, the craft is
+lost: the slot says so, craft, material and gain are kept, and the next slots are listened to where a detection puts
+it, as the first ones are.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from august_jax.inference.hypotheses import distinct
 from august_jax.inference.library import Library
 from august_jax.inference.motion import AXIS, HEADING, PLACE, SEEN, SIZE, Motion
 from august_jax.inference.prior import Prior
-from august_jax.inference.refine import Candidates, in_pieces, _judged, _solved
+from august_jax.inference.refine import Candidates, _judged, _solved, in_pieces
 from august_jax.physics.parameters import rotation_from_vector
 from august_jax.progress import Progress, silent
 from august_jax.scene.pose import rotation_from_axis_yaw
@@ -50,6 +50,9 @@ from august_jax.signal.station import Statistics
 
 DETECTED_SLOTS = 3
 """Slots after a start or a loss that are listened to where a detection puts the craft: a speed takes as many."""
+SEARCHED = 1e-3
+"""Where noise leaves as much as the best explanation about a prediction less often than this, everything is searched;
+and where a flight moves as far from its prediction less often than a hundredth of this."""
 LOST = 1e-4
 """Where noise leaves as much as the best explanation less often than this, the craft is lost."""
 _PARENTS = 12
@@ -207,7 +210,7 @@ class Follower:
             parents = _heaviest(parents, _PARENTS)
             found = self._locally(statistics, parents)
         probability = self._probability(found)
-        if probability < self._level:
+        if probability < SEARCHED or self._far_off(found):
             self._progress(f"slot {self._slot + 1}: searching for the craft among all attitudes of all that are known")
             found, searched = found + self._everywhere(statistics, parents), True
             probability = self._probability(found)
@@ -364,6 +367,14 @@ class Follower:
         orders, tones = self.library.subspace.orders, len(self.library.table.frequencies_hz)
         return float(chi2.sf(2.0 * best.residual, 2 * tones * orders**2 - 10))
 
+    @staticmethod
+    def _far_off(found: Sequence[_Child]) -> bool:
+        """Whether even the best moved as flights hardly do: so does a hypothesis that only seems to fit."""
+        from scipy.stats import chi2
+
+        best = max(found, key=lambda child: child.belief.log_weight)
+        return bool(chi2.sf(best.apart, SEEN) < 1e-2 * SEARCHED)
+
     def _bearing(self, statistics: Statistics) -> np.ndarray:
         """The unit vector (3,) towards which the echo comes from."""
         place = np.asarray(_bearing(statistics, self.library.subspace, self.config.region.scale_m), float)
@@ -400,11 +411,13 @@ class Follower:
 
 
 class _Child(NamedTuple):
-    """A hypothesis after an echo, the number of what it came from, and the misfit of its mode."""
+    """A hypothesis after an echo, the number of what it came from, the misfit of its mode, and how far it is from what
+    was expected: the square, in standard deviations."""
 
     belief: Belief
     parent: int
     residual: float
+    apart: float
 
 
 class _Expectation(NamedTuple):
@@ -515,7 +528,12 @@ def _updated(parent: Belief, number: int, mode: Candidates, ranges) -> _Child:
     score = residual + 0.5 * step @ pull + 0.5 * off @ known @ off - push @ off
     score += 0.5 * np.linalg.slogdet(inner)[1] + 0.5 * np.log(size)
     covariance = 0.5 * (covariance + covariance.T)
-    return _Child(Belief(parent.craft, parent.log_weight - score, mean, covariance), number, float(mode.residual))
+    return _Child(
+        Belief(parent.craft, parent.log_weight - score, mean, covariance),
+        number,
+        float(mode.residual),
+        float(step @ pull),
+    )
 
 
 def _seen_of(mode):
@@ -545,7 +563,7 @@ def _merged(found: Sequence[_Child]) -> list[Belief]:
     that it is found from."""
     order = sorted(found, key=lambda child: -child.belief.log_weight)
     kept: list[tuple[Belief, set[int]]] = []
-    for hypothesis, parent, _ in order:
+    for hypothesis, parent, *_ in order:
         for row, (other, parents) in enumerate(kept):
             apart = hypothesis.mean[:6] - other.mean[:6]
             apart[5] = (apart[5] + np.pi) % (2.0 * np.pi) - np.pi
