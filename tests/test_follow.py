@@ -268,3 +268,5 @@ def test_what_cannot_be_followed_is_refused():
         follower.hear(statistics)
     with pytest.raises(ValueError, match="statistics: received .* not finite"):
         follower.hear(statistics._replace(received=nothing * np.nan, centre=place))
+    with pytest.raises(ValueError, match="statistics: pilots has shape .* tones and array"):
+        follower.hear(statistics._replace(pilots=nothing[:, :-1], centre=place))

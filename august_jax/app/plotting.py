@@ -186,7 +186,7 @@ def flight(track: Track, slots: Sequence[Mapping[str, Any]], png: str | Path, *,
         place.plot(numbers, [max(slot[name], 1e-4) for slot in slots], label=label, **style)
     attitude.plot(
         numbers,
-        [slot["normal_error_up_deg"] for slot in slots],
+        [max(slot["normal_error_up_deg"], 1e-2) for slot in slots],
         label="always up",
         color=BASE,
         ls="--",

@@ -198,8 +198,15 @@ class Follower:
             raise ValueError(
                 f"statistics: heard about {np.asarray(statistics.centre)}; listen at place(...), and then hear"
             )
-        if not np.all(np.isfinite(np.asarray(statistics.received))):
-            raise ValueError("statistics: received holds numbers that are not finite; leave that slot out")
+        tones, orders = len(self.library.table.frequencies_hz), self.library.subspace.orders
+        for name, value in (("received", statistics.received), ("pilots", statistics.pilots)):
+            if np.shape(value) != (tones, orders, orders):
+                raise ValueError(
+                    f"statistics: {name} has shape {np.shape(value)}; the library's {tones} tone(s) and {orders} "
+                    f"functions want {(tones, orders, orders)}; give one slot, of the library's tones and array"
+                )
+            if not np.all(np.isfinite(np.asarray(value))):
+                raise ValueError(f"statistics: {name} holds numbers that are not finite; leave that slot out")
         statistics = jax.tree.map(jnp.asarray, statistics)
         detected, searched = self._lost or self._sure < DETECTED_SLOTS, False
         if self._lost:  # or never found yet
