@@ -52,6 +52,19 @@ def test_clouds_show_truth_and_reconstruction_of_at_most_four_slots(tmp_path, dr
     np.testing.assert_allclose(np.stack(boxes[-1].collections[0]._offsets3d, -1), last, atol=1e-6)
 
 
+@pytest.mark.parametrize("slots, panels", [(1, 3), (3, 7)])
+def test_clouds_show_what_a_search_found_below_or_beside(tmp_path, drawn, slots, panels):
+    track = made_up_track(slots)
+    moved = track.truth[-1] + np.array([0.03, 0.0, 0.0])
+    found = plotting.Shown("search: hexa, 97 %", moved, np.full(len(moved), 3.0), track.normal[-1])
+    plotting.clouds(track, tmp_path / "c.png", permittivity=(1.5, 5.0), title="made up", found={slots - 1: found})
+    boxes = [axes for axes in drawn[0].axes if axes.name == "3d"]
+    assert len(boxes) == panels
+    assert boxes[-1].get_title().startswith("search: hexa, 97 %")
+    offsets = np.stack(boxes[-1].collections[0]._offsets3d, -1)
+    np.testing.assert_allclose(offsets, moved - track.position[-1], atol=1e-6)
+
+
 def test_evaluation_curves_leave_out_what_is_not_defined(tmp_path, drawn):
     none = {"mpe_m": None, "mde": None, "wd_db": None, "mcd_db": None, "count": 8, "bound_m": 0.02, "bound_mde": 0.001}
     rows = [

@@ -8,9 +8,10 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from august_jax.files import replacing
 from august_jax.schemes import SCHEMES
@@ -70,8 +71,27 @@ def training_curves(metrics_jsonl: str | Path, png: str | Path) -> None:
     save(figure, png)
 
 
-def clouds(track: Track, png: str | Path, *, permittivity: tuple[float, float], title: str, slots: int = 4) -> None:
-    """True clouds above, reconstructed ones below (beside, for a single slot), coloured by permittivity; equal axes.
+class Shown(NamedTuple):
+    """A cloud that a search found in a slot, to be drawn beside the networks' one: what it is called, its points (M, 3)
+    [m], their permittivities (M,), and the normal of the rotor plane (3,)."""
+
+    label: str
+    points: Float[np.ndarray, "points 3"]
+    permittivity: Float[np.ndarray, " points"]
+    normal: Float[np.ndarray, "3"]
+
+
+def clouds(
+    track: Track,
+    png: str | Path,
+    *,
+    permittivity: tuple[float, float],
+    title: str,
+    slots: int = 4,
+    found: Mapping[int, Shown] | None = None,
+) -> None:
+    """True clouds above, reconstructed ones below (beside, for a single slot), and below these what a search found;
+    coloured by permittivity, equal axes.
 
     Args:
         track: what was true and what was reconstructed.
@@ -79,19 +99,34 @@ def clouds(track: Track, png: str | Path, *, permittivity: tuple[float, float], 
         permittivity: range of the colour scale.
         title: heading.
         slots: at most so many slots are shown, evenly spaced and the last among them.
+        found: what a search found, by slot; the others are not drawn.
     """
-    total = len(track.time_s)
+    total, found = len(track.time_s), found or {}
     shown = np.unique(np.linspace(total - 1, 0, min(slots, total)).round().astype(int))
-    rows, columns = (2, len(shown)) if len(shown) > 1 else (1, 2)
+    kinds = 3 if any(slot in found for slot in shown.tolist()) else 2
+    rows, columns = (kinds, len(shown)) if len(shown) > 1 else (1, kinds)
     figure = new_figure(3.5 * columns + 1.1, 3.6 * rows)
     reach = float(np.quantile(np.linalg.norm(track.truth - track.position[:, None], axis=-1), 0.999)) * 1.02
     bearing = track.position[-1]
     azimuth = float(np.degrees(np.arctan2(-bearing[1], -bearing[0]))) + 30.0  # seen from beside the base station
     panels = []
     for column, slot in enumerate(shown):
-        truth = (track.truth[slot], np.full(len(track.truth[slot]), track.permittivity), track.normal[slot], TRUTH)
-        cloud = (track.points[slot], track.point_permittivity[slot], track.normal_estimate[slot], MODEL)
-        for row, (points, value, normal, colour) in enumerate((truth, cloud)):
+        material = np.full(len(track.truth[slot]), track.permittivity)
+        drawings = [
+            (Shown(f"true, {track.time_s[slot]:.1f} s", track.truth[slot], material, track.normal[slot]), TRUTH),
+            (
+                Shown(
+                    "networks" if found else "reconstructed",
+                    track.points[slot],
+                    track.point_permittivity[slot],
+                    track.normal_estimate[slot],
+                ),
+                MODEL,
+            ),
+        ]
+        if int(slot) in found:
+            drawings.append((found[int(slot)], STYLES["matched_field"]["color"]))
+        for row, ((label, points, value, normal), colour) in enumerate(drawings):
             axes = figure.add_subplot(rows, columns, row * len(shown) + column + 1, projection="3d")
             panels.append(axes)
             local = points - track.position[slot]
@@ -113,9 +148,7 @@ def clouds(track: Track, png: str | Path, *, permittivity: tuple[float, float], 
             _plain_box(axes, reach)
             q = points.mean(axis=0) if row else track.position[slot]
             place = f"({q[0]:.2f}, {q[1]:.2f}, {q[2]:.2f}) m"
-            axes.set_title(
-                ("reconstructed" if row else f"true, {track.time_s[slot]:.1f} s") + f"\n{place}", y=1.02, fontsize=10
-            )
+            axes.set_title(f"{label}\n{place}", y=1.02, fontsize=10)
     figure.suptitle(title, x=0.01, ha="left", fontsize=12, fontweight="bold")
     bar = figure.colorbar(drawn, ax=panels, shrink=0.5, pad=0.02, aspect=28)
     bar.set_label("relative permittivity")

@@ -191,7 +191,7 @@ def _searched(found: Found, names: Sequence[str]) -> Row:
     return {
         "craft": None if craft < 0 else names[craft],
         "craft_probability": dict(zip(names, map(float, posterior.craft_probability), strict=True)),
-        "explained": bool(posterior.explained),
+        "explained": bool(posterior.found),
         "probability": float(posterior.probability),
         "position": np.asarray(answer.position[0], float).tolist(),
         "normal": np.asarray(answer.normal[0], float).tolist(),

@@ -17,7 +17,7 @@ from august_jax.inference.hypotheses import Hypotheses, Posterior, covariances, 
 from august_jax.inference.library import Library
 from august_jax.inference.population import Mixture, Poses, mixture, populate
 from august_jax.inference.prior import Prior
-from august_jax.inference.refine import Candidates, begin, corrections, cost, improved, polished
+from august_jax.inference.refine import Candidates, begin, corrections, cost, improved, polished, scored
 from august_jax.inference.screen import screen
 from august_jax.physics.parameters import rotation_from_vector
 from august_jax.signal.estimators import Region, roi_coefficients
@@ -213,9 +213,9 @@ def _bearing(statistics, subspace, half_m):
 
 def _worth(found: Candidates, statistics: Statistics, prior: Prior, heat: float = 1.0) -> np.ndarray:
     """Cost with the prior of the tilt, which steps do not know: what lies beyond the largest tilt is no explanation."""
-    density = np.asarray(prior.log_tilt(jnp.asarray(found.rotation)), np.float64)
+    costs, density = scored(found, statistics, prior, heat)
     most = float(np.max(np.log(np.asarray(prior.tilt_density))))
-    return np.asarray(cost(found, statistics, prior, heat), np.float64) + np.minimum(most - density, 30.0) / heat
+    return costs + np.minimum(most - density, 30.0) / heat
 
 
 def _best(found: Candidates, statistics: Statistics, prior: Prior, heat: float, kept: int) -> Candidates:
@@ -318,7 +318,8 @@ def _posterior(library, statistics, prior, modes: Candidates, poses: Poses, log_
     weight = np.bincount(own[own >= 0], np.exp(log_weight[own >= 0]), len(modes.craft))
     order = np.argsort(-weight, kind="stable")
     modes, weight = modes.at(order), weight[order] / weight.sum()
-    residual = float(np.min(modes.residual))
+    allowed = scored(modes, statistics, prior)[1] > -np.inf  # a tilt beyond the largest explains nothing
+    residual = float(np.min(modes.residual[allowed] if np.any(allowed) else modes.residual))
     degrees = 2 * statistics.received.size - 10
     return Posterior(
         Hypotheses(

@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 
 from august_jax.arrays import Array
 from august_jax.inference.prior import Prior
-from august_jax.inference.refine import Candidates, cost
+from august_jax.inference.refine import Candidates, scored
 from august_jax.signal.station import Statistics
 
 _APART_RAD, _APART_M = np.radians(5.0), 0.1  # that count alike where the mode nearest to a pose is asked for
@@ -89,6 +89,11 @@ class Posterior:
         return self.probability >= self.level
 
     @property
+    def found(self) -> bool:
+        """Whether a known craft is there: something is heard, and one of them explains it."""
+        return self.heard and self.explained
+
+    @property
     def weights(self) -> Float[np.ndarray, " m"]:
         """Of the samples; they add up to one."""
         return np.asarray(np.exp(self.log_weight))
@@ -138,8 +143,7 @@ def covariances(candidates: Candidates, prior: Prior) -> Float[np.ndarray, "n 10
 def evidence(candidates: Candidates, statistics: Statistics, prior: Prior) -> Float[np.ndarray, " n"]:
     """Laplace's approximation of each mode's log evidence (n,), up to a constant that all share."""
     _, volume = np.linalg.slogdet(covariances(candidates, prior)[:, :9, :9])  # of what is not a phase
-    costs = np.asarray(cost(candidates, statistics, prior), np.float64)
-    tilts = np.asarray(prior.log_tilt(candidates.rotation), np.float64)
+    costs, tilts = scored(candidates, statistics, prior)
     return -costs + 0.5 * volume + np.maximum(tilts, -30.0)
 
 

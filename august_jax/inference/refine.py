@@ -218,6 +218,20 @@ def cost(
     return jnp.asarray(candidates.residual) / temperature + 0.5 * jnp.sum(apart**2, axis=-1)
 
 
+def scored(
+    candidates: Candidates, statistics: Statistics, prior: Prior, temperature: float = 1.0
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """:func:`cost` of any number of candidates (n,) and the prior's log density of their tilts (n,), which steps do not
+    know; float64. Compiled once: arrays as long as there happen to be candidates would be compiled for each length."""
+    found = in_pieces(lambda piece: _scored(piece, statistics, prior, temperature), candidates)
+    return found[0].astype(np.float64), found[1].astype(np.float64)
+
+
+@jax.jit
+def _scored(candidates, statistics, prior, temperature):
+    return cost(candidates, statistics, prior, temperature), prior.log_tilt(candidates.rotation)
+
+
 def _step(table, subspace, statistics, prior, now, temperature, body=None):
     scales = jnp.asarray(_SCALES)
     precision = 1.0 / prior.spreads() ** 2

@@ -85,7 +85,7 @@ class Answer(NamedTuple):
         expected_normal_error: mean of 1 - cos between ``normal`` and what it may be (B,), likewise.
         craft: which of the known craft (B,), -1 where it is none of them.
         craft_probability: of each known craft, if it is one of them (B, C).
-        explained: whether a known craft leaves no more of the echo than noise would (B,).
+        explained: whether there is an echo, and a known craft leaves no more of it than noise would (B,).
         seconds: that the answer took (B,) [s].
     """
 

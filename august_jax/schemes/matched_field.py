@@ -3,8 +3,9 @@
 The posterior over craft, pose and material (:mod:`august_jax.inference`) answers. Its mean is the position, the mean of
 its thrust axes the normal; the cloud is the surface of its most probable hypothesis, one rigid craft of one material.
 
-Where even the best hypothesis leaves more of the echo than noise would, what flies is not one of the known craft: the
-answer says so, and the networks, if there are any, give position, normal and cloud in its place.
+Where even the best hypothesis leaves more of the echo than noise would, what flies is not one of the known craft, and
+where the echo is no louder than noise, none is there: the answer says so, and the networks, if there are any, give
+position, normal and cloud in its place.
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ def _prepare(setting: Setting) -> Ask | None:
         search_key, said_key, network_key = jax.random.split(key, 3)
         posterior = find_craft(library, jax.tree.map(lambda leaf: leaf[0], slot.statistics), prior, key=search_key)
         found = said(said_key, posterior, library, points)
-        return found if posterior.explained or networks is None else _left_to(networks(network_key, slot), found)
+        return found if posterior.found or networks is None else _left_to(networks(network_key, slot), found)
 
     def ask(key: jax.Array, slots: Slots) -> Answer:
         if slots.statistics is None:
@@ -80,9 +81,9 @@ def said(key: jax.Array, posterior: Posterior, library: Library, points: int) ->
         samples=posterior.position[chosen],
         expected_error_m=np.asarray(error_m),
         expected_normal_error=np.asarray(normal_error),
-        craft=np.asarray(np.argmax(posterior.craft_probability) if posterior.explained else UNKNOWN, np.int32),
+        craft=np.asarray(np.argmax(posterior.craft_probability) if posterior.found else UNKNOWN, np.int32),
         craft_probability=posterior.craft_probability,
-        explained=np.asarray(posterior.explained),
+        explained=np.asarray(posterior.found),
         seconds=np.asarray(sum(posterior.seconds.values())),
     )
 
@@ -196,7 +197,7 @@ def search_track(
         progress(f"searching slot {slot + 1} ({done + 1} of {len(slots)}){', which is compiled first' * (done == 0)}")
         posterior = find_craft(library, statistics, prior, key=keys[0])
         answer = said(keys[1], posterior, library, points)
-        if not posterior.explained:
+        if not posterior.found:
             cloud = WorldCloud(track.points[slot], track.point_permittivity[slot], track.point_conductivity[slot])
             own = Answer(position=track.estimated_position[slot], normal=track.normal_estimate[slot], cloud=cloud)
             answer = _left_to(jax.tree.map(lambda leaf: leaf[None], own), answer)

@@ -9,7 +9,7 @@ from typing import Any
 from august_jax.app.cli.common import chosen_weights
 from august_jax.app.cli.messages import command_line, note, options
 from august_jax.app.cli.parser import Command, number, whole
-from august_jax.app.cli.sensing import search_argument, sensed
+from august_jax.app.cli.sensing import search_arguments, sensed
 from august_jax.config import bounds
 
 
@@ -24,7 +24,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--airframe", metavar="NAME", help="a procedural airframe (default: drawn)")
     parser.add_argument("--run", metavar="RUN", help="weights of your own training run (default: the shipped ones)")
-    search_argument(parser)
+    search_arguments(parser, search=1, known=2)
 
 
 def _run(args: argparse.Namespace) -> dict[str, Any]:

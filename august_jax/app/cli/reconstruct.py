@@ -10,7 +10,7 @@ from typing import Any
 from august_jax.app.cli.common import chosen_weights, sha256_of
 from august_jax.app.cli.messages import command_line, note, options
 from august_jax.app.cli.parser import ANGLE, Command, number, numbers, whole
-from august_jax.app.cli.sensing import search_argument, sensed
+from august_jax.app.cli.sensing import search_arguments, sensed
 
 
 def _arguments(parser: argparse.ArgumentParser) -> None:
@@ -48,7 +48,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--seed", type=whole(), default=0, metavar="N", help="of prediction and noise (default 0)")
     parser.add_argument("--run", metavar="RUN", help="weights of your own training run (default: the shipped ones)")
-    search_argument(parser)
+    search_arguments(parser, search=0, known=None)
 
 
 def _run(args: argparse.Namespace) -> dict[str, Any]:

@@ -6,6 +6,7 @@ import argparse
 import json
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from august_jax import config as configuration
@@ -15,22 +16,31 @@ from august_jax.app.cli.parser import whole
 from august_jax.config import Config
 
 if TYPE_CHECKING:
+    from august_jax.app.plotting import Shown
     from august_jax.inference import Library
     from august_jax.pipeline import Networks, Scenario
     from august_jax.scene.airframes import Airframe
-    from august_jax.schemes.matched_field import Search
+    from august_jax.schemes.matched_field import Found, Search
     from august_jax.tracking import Track
 
 
-def search_argument(parser: argparse.ArgumentParser) -> None:
-    """``--search``, which both commands take."""
+def search_arguments(parser: argparse.ArgumentParser, search: int, known: int | None) -> None:
+    """``--search`` and ``--known``, which both commands take, each with its own defaults; a ``known`` of None: all."""
     most = int(configuration.bounds("flight.slots").high)
     parser.add_argument(
         "--search",
         type=whole(0, most),
-        default=0,
+        default=search,
         metavar="N",
-        help="look for the drone among known ones, too, in N slots; takes minutes (default 0)",
+        help=f"look for the drone among known ones, too, in N slots; takes minutes at first (default {search})",
+    )
+    parser.add_argument(
+        "--known",
+        type=whole(1),
+        default=known,
+        metavar="N",
+        help="how many known drones a search compares with, the one that flies among them; each takes half a minute at "
+        f"first (default {'all of the configuration' if known is None else known})",
     )
 
 
@@ -122,7 +132,13 @@ def sensed(
     write_ply(out / "cloud.ply", track.points[-1], track.point_permittivity[-1], track.point_conductivity[-1])
     write_text(out / "metrics.json", json.dumps(metrics, indent=1, allow_nan=False))
     write_text(out / "config.yaml", configuration.to_yaml(config))
-    plotting.clouds(track, out / f"{command}.png", permittivity=config.target.permittivity, title=title)
+    plotting.clouds(
+        track,
+        out / f"{command}.png",
+        permittivity=config.target.permittivity,
+        title=title,
+        found={} if search is None else {each.slot: _shown(each, search.names) for each in search.found},
+    )
     report.write_report(
         out / "report.html",
         track,
@@ -146,34 +162,60 @@ def sensed(
     return {"out": str(out), "files": files, **metrics}
 
 
+def _shown(found: Found, names: Sequence[str]) -> Shown:
+    """What a search found in a slot, as a picture shows it."""
+    import numpy as np
+
+    from august_jax.app.plotting import Shown
+
+    answer = found.answer
+    craft = int(np.argmax(found.posterior.craft_probability))
+    label = f"search: {names[craft]}, {100 * found.posterior.craft_probability[craft]:.0f} %"
+    if not found.posterior.found:
+        label = "search: none of the known"
+    cloud = answer.cloud
+    assert cloud is not None and answer.normal is not None  # a search always says both
+    return Shown(label, np.asarray(cloud.points)[0], np.asarray(cloud.permittivity)[0], np.asarray(answer.normal)[0])
+
+
 def _searched(args: argparse.Namespace, config: Config, airframe: Airframe, track: Track) -> Search:
     """A search of the last slot, and of others spread over the flight, ``--search`` in all."""
     import numpy as np
 
     from august_jax.schemes.matched_field import search_track
 
-    library, craft = _library(config, airframe)
+    library, craft = _library(config, airframe, args.known)
     slots = np.unique(np.linspace(track.slots - 1, 0, min(args.search, track.slots)).round().astype(int)).tolist()
     return search_track(track, library, config, seed=args.seed, slots=slots, craft=craft, progress=note)
 
 
-def _library(config: Config, airframe: Airframe) -> tuple[Library, int]:
-    """The configuration's drones and, if it is none of them, the one that flies; and which of them flies."""
+def _library(config: Config, airframe: Airframe, most: int | None) -> tuple[Library, int]:
+    """The drone that flies and others of the configuration, ``most`` in all or every one, in the configuration's order;
+    and which of them flies."""
     from august_jax.data import Target, lattice_of, nearest_distance, prepare_targets
     from august_jax.inference import known_craft
     from august_jax.physics import factor_body
+    from august_jax.scene import resolve_airframe
 
-    note("preparing the known drones: for the first time that takes minutes")
-    targets = prepare_targets(config, note)
-    own = [row for row, target in enumerate(targets) if target.airframe.digest == airframe.digest]
-    if not own:
+    every = config.target.airframes
+    known = [resolve_airframe(name, config.target.half_wheelbase_m) for name in every]
+    own = [row for row, drone in enumerate(known) if drone.digest == airframe.digest]
+    count = len(every) if most is None else most
+    others = [row for row in range(len(every)) if row not in own][: max(count - 1, 0)]
+    names = tuple(every[row] for row in sorted(own + others))
+    note("preparing the known drones, which takes half a minute each for the first time")
+    targets = []
+    if names:
+        targets = prepare_targets(replace(config, target=replace(config.target, airframes=names)), note)
+    flies = [row for row, target in enumerate(targets) if target.airframe.digest == airframe.digest]
+    if not flies:
         cells, cell_m = lattice_of(airframe, config.target)
         note(f"{airframe.name}: {cells.count} cells of {1e3 * cell_m:.3g} mm")
         body = factor_body(
             cells, config.array.tones_hz or config.array.frequency_hz, nearest_m=nearest_distance(config)
         )
         targets = [*targets, Target(airframe, cells, cell_m, body, airframe.surface)]
-    return known_craft(config, targets, progress=note), own[0] if own else len(targets) - 1
+    return known_craft(config, targets, progress=note), flies[0] if flies else len(targets) - 1
 
 
 def _sampler_steps(config: Config) -> int:
