@@ -61,13 +61,14 @@ def look(library: Library, prior: Prior, samples: Sample, slot: int, snr_db: flo
     predicted_key, echo_key = jax.random.split(streams.key(SEED, "evaluate.observation", slot))
     predicted = draw_prediction(predicted_key, jnp.asarray(samples.position[slot]), library.config)
     channel = unpack(jnp.asarray(samples.true_channel[slot]))
-    statistics = _observed(echo_key, channel, predicted, library.config, snr_db)
+    statistics = observed(echo_key, channel, predicted, library.config, snr_db)
     found = find_craft(library, statistics, prior, key=streams.key(SEED, "inference.samples", slot))
     return np.asarray(predicted, float), found
 
 
 @partial(jax.jit, static_argnames="config")
-def _observed(key, channel, predicted, config: Config, snr_db) -> Statistics:
+def observed(key, channel, predicted, config: Config, snr_db) -> Statistics:
+    """All that an echo about q_pre says, at an SNR that the power is set to."""
     array, signal, region = config.array, config.signal, config.region
     seen = observe_region(key, channel, predicted, array=array, signal=signal, region=region, snr_db=snr_db)
     return seen.statistics

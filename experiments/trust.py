@@ -17,11 +17,9 @@ was. Another estimator needs another folder. Five seconds a slot and SNR on two 
 from __future__ import annotations
 
 import argparse
-import json
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +27,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from script import run
+from searched import SEED, Lines, columns, observed
 
 from august_jax import streams
 from august_jax.app.plotting import new_figure, save
@@ -40,10 +39,10 @@ from august_jax.inference import Library, Posterior, Prior, find_craft, known_cr
 from august_jax.progress import Progress
 from august_jax.scene.airframes import Airframe
 from august_jax.scene.mesh_files import FORMATS
-from august_jax.signal.station import Statistics, observe_region
+from august_jax.signal.station import Statistics
 
 SNRS_DB = (0.0, 10.0, 20.0, 30.0)
-COUNT, SEED = 300, 1
+COUNT = 300
 NO_WORSE = 0.5
 """So much above what is reached from the truth may the best residual be and still count as found, in noise units."""
 RANKS = ("x", "y", "z", "along", "normal_x", "normal_y", "permittivity", "conductivity")
@@ -115,11 +114,11 @@ def compute(
     if "meshes" in worlds:
         _mesh_files(meshes)  # refused before the work
     targets = prepare_targets(config, progress)
-    rows = {} if lines is None else {name: _read(_file(lines, config, name)) for name in WORLDS}
+    kept = {name: Lines(None if lines is None else lines / f"{config.preset}_{name}.jsonl") for name in WORLDS}
     for name in worlds:
-        rows[name] = _explored(name, config, targets, count, snrs_db, meshes, lines, rows.get(name, []), progress)
-        progress(table({"crafts": np.array(len(targets)), **_columns(rows[name])}))
-    return {"crafts": np.array(len(targets)), **_columns([row for name in WORLDS for row in rows.get(name, [])])}
+        _explore(name, config, targets, count, snrs_db, meshes, kept[name], progress)
+        progress(table({"crafts": np.array(len(targets)), **columns(kept[name].rows)}))
+    return {"crafts": np.array(len(targets)), **columns(row for lines in kept.values() for row in lines.rows)}
 
 
 def _mesh_files(folder: Path | None) -> tuple[str, ...]:
@@ -129,18 +128,17 @@ def _mesh_files(folder: Path | None) -> tuple[str, ...]:
     return tuple(map(str, files))
 
 
-def _explored(
+def _explore(
     name: str,
     config: Config,
     targets: Sequence[Target],
     count: int,
     snrs: Sequence[float],
     meshes: Path | None,
-    lines: Path | None,
-    rows: list[dict],
+    lines: Lines,
     progress: Progress,
-) -> list[dict]:
-    """The lines of a world, those that were there first."""
+) -> None:
+    """Add the lines of a world that are not there."""
     world = WORLDS[name]
     flown = replace(
         config, target=replace(config.target, **world.target), data=replace(config.data, observed=False, solver="mom")
@@ -150,14 +148,14 @@ def _explored(
         flown = replace(flown, target=replace(flown.target, airframes=_mesh_files(meshes)))
     if flown.target != config.target:
         flying = prepare_targets(flown, progress)
-    done = {(row["slot"], row["snr_db"]) for row in rows}
+    done = {(row["slot"], row["snr_db"]) for row in lines.rows}
     left = [(slot, snr) for slot in range(count) for snr in snrs if (slot, snr) not in done]
     if not left:
-        return rows
+        return
     numbers, slots = np.arange(count), config.flight.slots
     samples = generate(flown, numbers * slots + numbers % slots, flying, seed=SEED, domain="evaluate")
     libraries: dict[int | None, tuple[Library, Prior]] = {}
-    began, file = time.monotonic(), None if lines is None else _file(lines, config, name)
+    began = time.monotonic()
     for at, (slot, snr_db) in enumerate(left, 1):
         kind = int(samples.airframe[slot])
         without = kind if world.left_out else None
@@ -166,20 +164,14 @@ def _explored(
             names = tuple(craft for row, craft in enumerate(config.target.airframes) if row != without)
             own = replace(config, target=replace(config.target, airframes=names))
             libraries[without] = known_craft(own, known, progress=progress), Prior.from_config(own)
-        rows.append(
-            {"world": name, **_looked(*libraries[without], samples, slot, snr_db, flying[kind].airframe, world)}
-        )
-        if file is not None:
-            with file.open("a") as out:
-                out.write(json.dumps(rows[-1]) + "\n")
+        lines.add({"world": name, **_looked(*libraries[without], samples, slot, snr_db, flying[kind].airframe, world)})
         if at == len(left) or left[at][0] != slot:
             each = (time.monotonic() - began) / at
-            mine = [row for row in rows if row["slot"] == slot]
+            mine = [row for row in lines.rows if row["slot"] == slot]
             errors = ", ".join(f"{100.0 * row['error_m']:.1f} cm at {row['snr_db']:g} dB" for row in mine)
             progress(
                 f"{name} {slot + 1}/{count}: {errors}  {each:.1f} s each  {each * (len(left) - at) / 60.0:.0f} min left"
             )
-    return rows
 
 
 @streams.pin
@@ -197,7 +189,7 @@ def _looked(
     place, normal = truth["position"].astype(float), truth["rotation"][:, 2].astype(float)
     predicted = draw_prediction(predicted_key, truth["position"], library.config)
     channel = jnp.complex64(world.gain(gain_key)) * unpack(jnp.asarray(samples.true_channel[slot]))
-    statistics = _observed(echo_key, channel, predicted, library.config, snr_db)
+    statistics = observed(echo_key, channel, predicted, library.config, snr_db)
     sample_key = streams.key(SEED, "inference.samples", slot)
     found = find_craft(library, statistics, prior, key=sample_key)
     craft = library.names.index(airframe.name) if airframe.name in library.names else -1
@@ -237,7 +229,7 @@ def _looked(
         "effective": float(found.effective),
         "residual": float(found.residual),
         "degrees": int(found.degrees),
-        "explained": bool(found.explained),
+        "explained": bool(found.found),
         "probability": float(found.probability),
         "seconds": float(sum(found.seconds.values())),
         **{f"{stage}_s": float(value) for stage, value in found.seconds.items()},
@@ -275,13 +267,6 @@ def _from_truth(
     }
 
 
-@partial(jax.jit, static_argnames="config")
-def _observed(key, channel, predicted, config: Config, snr_db) -> Statistics:
-    array, signal, region = config.array, config.signal, config.region
-    seen = observe_region(key, channel, predicted, array=array, signal=signal, region=region, snr_db=snr_db)
-    return seen.statistics
-
-
 def _ranks(
     found: Posterior, weights: np.ndarray, truth: dict[str, np.ndarray], predicted: np.ndarray
 ) -> dict[str, float]:
@@ -307,27 +292,6 @@ def _arms(airframe: Airframe) -> int:
         if apart.min(axis=1).max() < 0.02 * np.abs(tips).max():
             return count
     return 1
-
-
-def _file(folder: Path, config: Config, name: str) -> Path:
-    folder.mkdir(parents=True, exist_ok=True)
-    return folder / f"{config.preset}_{name}.jsonl"
-
-
-def _read(path: Path) -> list[dict]:
-    """The lines of a file; the last is taken away where a run was stopped in the middle of it."""
-    if not path.exists():
-        return []
-    text = path.read_text()
-    whole = text[: text.rfind("\n") + 1]
-    if whole != text:
-        path.write_text(whole)
-    return [json.loads(line) for line in whole.splitlines()]
-
-
-def _columns(rows: list[dict]) -> dict[str, np.ndarray]:
-    names = dict.fromkeys(name for row in rows for name in row)
-    return {name: np.array([row.get(name, np.nan) for row in rows]) for name in names}
 
 
 def table(numbers: dict[str, np.ndarray]) -> str:
