@@ -54,7 +54,7 @@ SEARCHED = 1e-3
 """Where noise leaves as much as the best explanation about a prediction less often than this, everything is searched;
 and where a flight moves as far from its prediction less often than a hundredth of this."""
 LOST = 1e-4
-"""Where noise leaves as much as the best explanation less often than this, the craft is lost."""
+"""Where noise leaves as much as the best explanation less often than this, a craft that was followed is lost."""
 _PARENTS = 12
 _KEPT = 8
 _LEAST = 1e-5  # of a hypothesis' weight
@@ -222,7 +222,9 @@ class Follower:
             found, searched = found + self._everywhere(statistics, parents), True
             probability = self._probability(found)
         kept = _merged(found)
-        lost = probability < LOST
+        lost = probability < (
+            self._level if self._lost else LOST
+        )  # what is met anew has nothing else that speaks for it
         if lost:
             self._sure = 0
             told = self._nowhere(kept)
