@@ -39,6 +39,7 @@ from august_jax.inference import Library, Posterior, Prior, find_craft, known_cr
 from august_jax.progress import Progress
 from august_jax.scene.airframes import Airframe
 from august_jax.scene.mesh_files import FORMATS
+from august_jax.schemes.matched_field import expected_errors
 from august_jax.signal.station import Statistics
 
 SNRS_DB = (0.0, 10.0, 20.0, 30.0)
@@ -221,6 +222,7 @@ def _looked(
         "heading_error_deg": float(abs(heading)),
         "heading_by_arms_deg": float(abs((heading + by_arms / 2.0) % by_arms - by_arms / 2.0)),
         "mcd_m2": float(metrics.shape_distance(cloud @ best.rotation[0].T, jnp.asarray(samples.points[slot]))),
+        **dict(zip(("expected_error_m", "expected_normal_error"), map(float, expected_errors(found)))),
         "explanations": int(np.sum(np.asarray(best.weight) > 0.01)),
         "position_level": calibration.position_level(found.position, weights, place),
         "normal_level": calibration.normal_level(found.rotation[:, :, 2], weights, normal),
@@ -297,7 +299,7 @@ def _arms(airframe: Airframe) -> int:
 def table(numbers: dict[str, np.ndarray]) -> str:
     """Markdown: a row a world and SNR, shares and means with standard errors, what answers without an echo beside."""
     head = (
-        "world", "SNR [dB]", "slots", "MPE [m]", "q_pre", "MDE", "up", "MCD [dB]", "craft", "believed", "chance",
+        "world", "SNR [dB]", "slots", "MPE [m]", "q_pre", "MDE", "up", "expects", "MCD [dB]", "craft", "believed", "chance",
         "from the truth", "found", "explained", "50 % place", "90 % place", "50 % normal", "90 % normal",
         "least p", "effective", "s",
     )  # fmt: skip
@@ -317,6 +319,7 @@ def table(numbers: dict[str, np.ndarray]) -> str:
         levels = [name for name in part if name.endswith("_level") or name.startswith("rank_")]
         least = min((calibration.uniformity(part[name])[1], name) for name in levels) if count > 1 else (np.nan, "")
         known = np.isfinite(part["start_residual"])
+        expected = [part[f"expected_{name}"].mean() for name in ("error_m", "normal_error")]
         cells = (
             world,
             f"{snr:g}",
@@ -325,6 +328,7 @@ def table(numbers: dict[str, np.ndarray]) -> str:
             f"{part['prediction_error_m'].mean():.3f}",
             mean("normal_error", 4),
             f"{part['up_error'].mean():.3f}",
+            f"{expected[0]:.3f}, {expected[1]:.4f}",
             f"{10.0 * np.log10(part['mcd_m2'].mean()):.1f}",
             percent(calibration.share(part["named"] == part["craft"])),
             f"{100.0 * part['named_probability'].mean():.0f}",
