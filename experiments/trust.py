@@ -299,8 +299,8 @@ def _arms(airframe: Airframe) -> int:
 def table(numbers: dict[str, np.ndarray]) -> str:
     """Markdown: a row a world and SNR, shares and means with standard errors, what answers without an echo beside."""
     head = (
-        "world", "SNR [dB]", "slots", "MPE [m]", "q_pre", "MDE", "up", "expects", "MCD [dB]", "craft", "believed", "chance",
-        "from the truth", "found", "explained", "50 % place", "90 % place", "50 % normal", "90 % normal",
+        "world", "SNR [dB]", "slots", "MPE [m]", "q_pre", "MDE", "up", "expects", "MCD [dB]", "craft", "believed",
+        "chance", "from the truth", "found", "explained", "50 % place", "90 % place", "50 % normal", "90 % normal",
         "least p", "effective", "s",
     )  # fmt: skip
     lines = [f"| {' | '.join(head)} |", "|---" * len(head) + "|"]
