@@ -13,6 +13,7 @@ from jaxtyping import Float
 
 from august_jax.arrays import Array
 from august_jax.data.simulator import contrast_of
+from august_jax.inference.echo import bearing, echo_snr_db
 from august_jax.inference.hypotheses import Hypotheses, Posterior, covariances, distinct, evidence, nearest, shared_out
 from august_jax.inference.library import Library
 from august_jax.inference.population import Mixture, Poses, mixture, populate
@@ -20,8 +21,6 @@ from august_jax.inference.prior import Prior
 from august_jax.inference.refine import Candidates, begin, corrections, cost, improved, polished, scored
 from august_jax.inference.screen import screen
 from august_jax.physics.parameters import rotation_from_vector
-from august_jax.signal.estimators import Region, roi_coefficients
-from august_jax.signal.roi import Coefficients, Subspace, towards
 from august_jax.signal.station import Statistics
 
 LEVEL = 0.01
@@ -83,9 +82,9 @@ def find_craft(
     clock = _Clock(seconds)
     table, subspace = library.table, library.subspace
     statistics = jax.tree.map(jnp.asarray, statistics)
-    snr_db = _snr_db(statistics, subspace)
+    snr_db = echo_snr_db(statistics, subspace)
     if proposals is None:
-        place = _bearing(statistics, subspace, library.config.region.scale_m)
+        place = bearing(statistics, subspace, library.config.region.scale_m)
         reach_m = float(np.sqrt(3.0) * prior.half_m)  # of the prediction's range, which bearings leave alone
         seen = screen(library.survey, subspace, statistics, place, library.attitudes, _LOOKED, reach_m)
         low, high = np.asarray(prior.permittivity)
@@ -192,23 +191,6 @@ def _check_held(library: Library, statistics: Statistics, prior: Prior) -> None:
             f"the library's tables, which hold {near:.3g} to {far:.3g} m; make the library for those places "
             "(flight.box_m)"
         )
-
-
-def _snr_db(statistics: Statistics, subspace: Subspace) -> float:
-    """The echo's SNR over all antennas and as many symbols, of its energy in the subspace [dB]."""
-    energy = float(jnp.sum(jnp.abs(statistics.received) ** 2)) - statistics.received.size
-    entries = statistics.received.shape[0] * subspace.array.count**2
-    return float(10.0 * np.log10(max(energy / entries, 1e-3)))
-
-
-def _bearing(statistics, subspace, half_m):
-    positions = subspace.positions
-    values = jax.vmap(
-        lambda received, pilots, k: roi_coefficients(
-            received, pilots, Region(statistics.centre, half_m, positions, k, subspace.basis)
-        )
-    )(statistics.received, statistics.pilots, subspace.wavenumbers)
-    return towards(Coefficients(values, statistics.centre), subspace)
 
 
 def _worth(found: Candidates, statistics: Statistics, prior: Prior, heat: float = 1.0) -> np.ndarray:

@@ -35,17 +35,16 @@ from jaxtyping import Float, Int
 from august_jax import streams
 from august_jax.arrays import Array
 from august_jax.config import Config
+from august_jax.inference.climb import Expectation, begun_at, climbed, polished_about, turning, worth_about
+from august_jax.inference.echo import bearing, echo_snr_db
 from august_jax.inference.find import LEVEL, find_craft
 from august_jax.inference.hypotheses import distinct
 from august_jax.inference.library import Library
 from august_jax.inference.motion import AXIS, HEADING, PLACE, SEEN, SIZE, Motion
 from august_jax.inference.prior import Prior
-from august_jax.inference.refine import Candidates, _judged, _solved, in_pieces
-from august_jax.physics.parameters import rotation_from_vector
+from august_jax.inference.refine import Candidates, in_pieces
 from august_jax.progress import Progress, silent
 from august_jax.scene.pose import rotation_from_axis_yaw
-from august_jax.signal.estimators import Region, roi_coefficients
-from august_jax.signal.roi import Coefficients, towards
 from august_jax.signal.station import Statistics
 
 DETECTED_SLOTS = 3
@@ -70,7 +69,6 @@ _POLISHED = 4
 _POLISH = 6
 _WORSE = 15.0  # what is this much less likely than the best, by its logarithm, is not polished
 _SAMPLES = 2000
-_FIRST = 1e-2  # damping
 
 
 class Belief(NamedTuple):
@@ -284,18 +282,18 @@ class Follower:
         rng = np.random.default_rng([self._seed, self._slot])
         weights = np.array([each.log_weight for each in parents])
         seeds, which = _seeds(rng, parents, _LOOKED, self._bearing(statistics), library, np.asarray(ranges))
-        found = in_pieces(lambda piece: _begun_at(*shared, *piece), seeds)
+        found = in_pieces(lambda piece: begun_at(*shared, *piece), seeds)
 
-        def climbed(heat, steps, piece):
-            return _climbed(*shared, expected, ranges, *piece, heat, steps)
+        def climb(heat, steps, piece):
+            return climbed(*shared, expected, ranges, *piece, heat, steps)
 
-        snr_db = _echo_snr_db(statistics, library)
+        snr_db = echo_snr_db(statistics, library.subspace)
         for kept, steps, noise_db in _STAGES:
             heat = jnp.float32(max(1.0, 10.0 ** ((snr_db - noise_db) / 10.0)))
-            found, which = in_pieces(partial(climbed, heat, steps), (found, which))
-            rows = _shared_rows(_worth(found, expected, which, heat) - weights[which] / float(heat), which, kept)
+            found, which = in_pieces(partial(climb, heat, steps), (found, which))
+            rows = _shared_rows(worth_about(found, expected, which, heat) - weights[which] / float(heat), which, kept)
             found, which = found.at(rows), which[rows]
-        worth = _worth(found, expected, which, 1.0) - weights[which]
+        worth = worth_about(found, expected, which, 1.0) - weights[which]
         best = [
             row
             for parent in np.unique(which)
@@ -315,7 +313,7 @@ class Follower:
             rows = np.flatnonzero(found.craft == craft)
             for piece in np.array_split(rows, -(-len(rows) // 2)):
                 padded = np.resize(piece, 2)
-                better = _polished(
+                better = polished_about(
                     library.body(int(craft)),
                     library.table,
                     library.subspace,
@@ -364,7 +362,7 @@ class Follower:
             ),
         )
         shared = (library.table, library.subspace, statistics)
-        begun = in_pieces(lambda piece: _begun_at(*shared, *piece), start)
+        begun = in_pieces(lambda piece: begun_at(*shared, *piece), start)
         return self._polished(statistics, parents, begun, which, 2 * _POLISH)  # the gain is not known yet
 
     def _probability(self, found: Sequence[_Child]) -> float:
@@ -386,7 +384,7 @@ class Follower:
 
     def _bearing(self, statistics: Statistics) -> np.ndarray:
         """The unit vector (3,) towards which the echo comes from."""
-        place = np.asarray(_bearing(statistics, self.library.subspace, self.config.region.scale_m), float)
+        place = np.asarray(bearing(statistics, self.library.subspace, self.config.region.scale_m), float)
         return place / np.linalg.norm(place)
 
     def _told(self, kept, detected, searched, lost, probability, seconds) -> Step:
@@ -429,13 +427,6 @@ class _Child(NamedTuple):
     apart: float
 
 
-class _Expectation(NamedTuple):
-    """Gaussians over the seen numbers: means (P, 9), inverse covariances (P, 9, 9)."""
-
-    middle: Float[Array, "parents 9"]
-    precision: Float[Array, "parents 9 9"]
-
-
 def rotations_of(states: Float[np.ndarray, "n 16"]) -> Float[np.ndarray, "n 3 3"]:
     """Attitudes (n, 3, 3), body to world, of states (n, 16)."""
     flat = states[:, AXIS]
@@ -450,11 +441,11 @@ def _heaviest(parents, most):
     return sorted(likely, key=lambda each: -each.log_weight)[:most]
 
 
-def _expectations(parents) -> _Expectation:
+def _expectations(parents) -> Expectation:
     size = 2 * _PARENTS * -(-len(parents) // (2 * _PARENTS))  # one shape, one compilation
     rows = np.minimum(np.arange(size), len(parents) - 1)
     precision = [np.linalg.inv(each.covariance[:SEEN, :SEEN]) for each in parents]
-    return _Expectation(
+    return Expectation(
         jnp.asarray(np.array([parents[row].mean[:SEEN] for row in rows]), jnp.float32),
         jnp.asarray(np.array([precision[row] for row in rows]), jnp.float32),
     )
@@ -551,20 +542,7 @@ def _seen_of(mode):
     rest = [float(mode.permittivity), float(mode.conductivity), float(mode.log_gain)]
     heading = np.arctan2(rotation[1, 0], rotation[0, 0])
     seen = np.concatenate([np.asarray(mode.position, np.float64), rotation[:2, 2], [heading], rest])
-    return seen, np.asarray(_turning(jnp.asarray(rotation)), np.float64)
-
-
-def _turning(rotation):
-    """How axis and heading change in a turn about the world's axes (3, 3)."""
-    axis, nose = rotation[:, 2], rotation[:, 0]
-    zero, flat = jnp.zeros_like(axis[0]), nose[0] ** 2 + nose[1] ** 2
-    return jnp.stack(
-        [
-            jnp.stack([zero, axis[2], -axis[1]]),
-            jnp.stack([-axis[2], zero, axis[0]]),
-            jnp.stack([-nose[0] * nose[2] / flat, -nose[1] * nose[2] / flat, jnp.ones_like(flat)]),
-        ]
-    )
+    return seen, np.asarray(turning(jnp.asarray(rotation)), np.float64)
 
 
 def _merged(found: Sequence[_Child]) -> list[Belief]:
@@ -590,119 +568,3 @@ def _merged(found: Sequence[_Child]) -> list[Belief]:
     these = sorted(these, key=lambda each: -each.log_weight)
     total = float(np.logaddexp.reduce([each.log_weight for each in these]))
     return [each._replace(log_weight=each.log_weight - total) for each in these]
-
-
-def _echo_snr_db(statistics, library) -> float:
-    """The echo's SNR over all antennas and as many symbols [dB]."""
-    power = float(jnp.sum(jnp.abs(statistics.received) ** 2)) - statistics.received.size
-    entries = statistics.received.shape[0] * library.subspace.array.count**2
-    return float(10.0 * np.log10(max(power / entries, 1e-3)))
-
-
-@partial(jax.jit, static_argnames="subspace")
-def _bearing(statistics, subspace, half_m):
-    values = jax.vmap(
-        lambda received, pilots, k: roi_coefficients(
-            received, pilots, Region(statistics.centre, half_m, subspace.positions, k, subspace.basis)
-        )
-    )(statistics.received, statistics.pilots, subspace.wavenumbers)
-    return towards(Coefficients(values, statistics.centre), subspace)
-
-
-@partial(jax.jit, static_argnames="subspace")
-def _begun_at(table, subspace, statistics, craft, rotation, position, permittivity, conductivity, log_gain):
-    def one(each):
-        return _judged(table, subspace, statistics, (*each, None), jnp.float32(_FIRST))
-
-    return jax.lax.map(one, (craft, rotation, position, permittivity, conductivity, log_gain), batch_size=64)
-
-
-@partial(jax.jit, static_argnames="subspace")
-def _climbed(table, subspace, statistics, expected, ranges, candidates, which, temperature, steps):
-    def one(each):
-        now, number = each
-        own = _Expectation(expected.middle[number], expected.precision[number])
-
-        def step(_, state):
-            return _step(table, subspace, statistics, own, ranges, state, temperature)
-
-        return jax.lax.fori_loop(0, steps, step, now), number
-
-    return jax.lax.map(one, (candidates, which), batch_size=64)
-
-
-@partial(jax.jit, static_argnames="subspace")
-def _polished(body, table, subspace, statistics, expected, ranges, candidates, which, steps):
-    def one(each):
-        now, number = each
-        own = _Expectation(expected.middle[number], expected.precision[number])
-        pose = (now.craft, now.rotation, now.position, now.permittivity, now.conductivity, now.log_gain, None)
-        now = _judged(table, subspace, statistics, pose, jnp.float32(_FIRST), body)
-
-        def step(_, state):
-            return _step(table, subspace, statistics, own, ranges, state, 1.0, body)
-
-        return jax.lax.fori_loop(0, steps, step, now)
-
-    return jax.lax.map(one, (candidates, which))
-
-
-def _worth(candidates, expected, which, temperature):
-    """What is minimised (n,), float64."""
-    rotation = np.asarray(candidates.rotation, np.float64)
-    heading = np.arctan2(rotation[:, 1, 0], rotation[:, 0, 0])
-    rest = np.stack([heading, candidates.permittivity, candidates.conductivity, candidates.log_gain], axis=1)
-    apart = np.concatenate([candidates.position, rotation[:, :2, 2], rest], axis=1)
-    apart = apart - np.asarray(expected.middle, np.float64)[which]
-    apart[:, HEADING] = (apart[:, HEADING] + np.pi) % (2.0 * np.pi) - np.pi
-    precision = np.asarray(expected.precision, np.float64)[which]
-    square = np.einsum("ni,nij,nj->n", apart, precision, apart)
-    return np.asarray(candidates.residual, np.float64) / float(temperature) + 0.5 * square
-
-
-def _apart(now, middle):
-    """How far the seen numbers are from a prediction (9,)."""
-    heading = jnp.arctan2(now.rotation[1, 0], now.rotation[0, 0]) - middle[HEADING]
-    heading = heading - 2.0 * jnp.pi * jnp.round(heading / (2.0 * jnp.pi))
-    rest = jnp.stack([now.permittivity, now.conductivity, now.log_gain]) - middle[6:]
-    return jnp.concatenate([now.position - middle[:3], now.rotation[:2, 2] - middle[3:5], heading[None], rest])
-
-
-_SCALES = np.array([0.1, 0.1, 0.1, 0.05, 0.05, 0.05, 0.5, 2e-3, 0.1, 0.3], np.float32)
-
-
-def _step(table, subspace, statistics, expected, ranges, now, temperature, body=None):
-    """One step of Levenberg-Marquardt towards the most probable, given a prediction."""
-    scales = jnp.asarray(_SCALES)
-
-    def cost(each):
-        apart = _apart(each, expected.middle)
-        return each.residual / temperature + 0.5 * apart @ expected.precision @ apart
-
-    change = jnp.eye(SEEN, 10).at[3:6, 3:6].set(_turning(now.rotation))
-    pull = change.T @ expected.precision
-    slope = now.slope / temperature - pull @ _apart(now, expected.middle)
-    system = (now.information / temperature + pull @ change) * scales * scales[:, None]
-    system = system + now.damping * jnp.diag(jnp.diagonal(system))
-    step = scales * _solved(system, scales * slope)
-    length = jnp.sqrt(jnp.sum(step[3:6] ** 2))
-    step = step * jnp.minimum(1.0, 0.2 / jnp.maximum(length, 1e-9))
-    tried = _judged(
-        table,
-        subspace,
-        statistics,
-        (
-            now.craft,
-            rotation_from_vector(step[3:6]) @ now.rotation,
-            now.position + jnp.clip(step[:3], -0.3, 0.3),
-            jnp.clip(now.permittivity + step[6], ranges[0, 0], ranges[0, 1]),
-            jnp.clip(now.conductivity + step[7], ranges[1, 0], ranges[1, 1]),
-            now.log_gain + step[8],
-            now.phase + step[9],
-        ),
-        now.damping * 0.2,
-        body,
-    )
-    better = cost(tried) <= cost(now)
-    kept = now._replace(damping=now.damping * 8.0)
-    return jax.tree.map(lambda new, old: jnp.where(better, new, old), tried, kept)

@@ -31,9 +31,9 @@ from august_jax.physics.parameters import Parameters, parameter_channel, rotatio
 from august_jax.signal.roi import Subspace, change_of_centre, project
 from august_jax.signal.station import Statistics
 
-_SCALES = np.array([0.1, 0.1, 0.1, 0.05, 0.05, 0.05, 0.5, 2e-3, 0.1, 0.3], np.float32)
+SCALES = np.array([0.1, 0.1, 0.1, 0.05, 0.05, 0.05, 0.5, 2e-3, 0.1, 0.3], np.float32)
 """Of theta, so that the normal equations are of one size."""
-_FIRST, _EASIER, _HARDER = 1e-2, 0.2, 8.0
+FIRST, EASIER, HARDER = 1e-2, 0.2, 8.0
 _BEYOND_M = 0.2
 _TOGETHER = 64
 _PIECE = 128
@@ -138,7 +138,7 @@ def polished(
 
     def one(each):
         pose = (each.craft, each.rotation, each.position, each.permittivity, each.conductivity, each.log_gain, None)
-        each = _judged(table, subspace, statistics, pose, jnp.float32(_FIRST), body)
+        each = judged(table, subspace, statistics, pose, jnp.float32(FIRST), body)
         return jax.lax.fori_loop(
             0, steps, lambda _, now: _step(table, subspace, statistics, prior, now, 1.0, body), each
         )
@@ -151,12 +151,12 @@ def _begun(table, subspace, statistics, craft, rotation, position, permittivity,
     def one(each):
         craft, rotation, position, permittivity, conductivity = each
         zero = jnp.float32(0.0)
-        return _judged(
+        return judged(
             table,
             subspace,
             statistics,
             (craft, rotation, position, permittivity, conductivity, zero, None),
-            jnp.float32(_FIRST),
+            jnp.float32(FIRST),
         )
 
     return jax.lax.map(one, (craft, rotation, position, permittivity, conductivity), batch_size=_TOGETHER)
@@ -170,7 +170,7 @@ def _exact(body, subspace, rotation, position, permittivity, conductivity):
     return channel * wave
 
 
-def _judged(table, subspace, statistics, pose, damping, body=None):
+def judged(table, subspace, statistics, pose, damping, body=None):
     """A candidate with its residual, slope and information; a phase of None takes the best.
 
     With a body the coefficients are its own, and the table's serve for the derivatives alone.
@@ -233,12 +233,12 @@ def _scored(candidates, statistics, prior, temperature):
 
 
 def _step(table, subspace, statistics, prior, now, temperature, body=None):
-    scales = jnp.asarray(_SCALES)
+    scales = jnp.asarray(SCALES)
     precision = 1.0 / prior.spreads() ** 2
     slope = now.slope / temperature - precision * departure(now, statistics, prior)
     system = (now.information / temperature + jnp.diag(precision)) * scales * scales[:, None]
     system = system + now.damping * jnp.diag(jnp.diagonal(system))
-    wanted = scales * _solved(system, scales * slope)
+    wanted = scales * solved(system, scales * slope)
     # What would leave its range goes to the end of it, and the rest is solved for again: a step cut short in one number
     # alone is no descent, and a candidate at the end of a range would never move again.
     ranges = jnp.stack([prior.permittivity, prior.conductivity])
@@ -247,11 +247,11 @@ def _step(table, subspace, statistics, prior, now, temperature, body=None):
     fixed = jnp.zeros(10, bool).at[6:8].set(held != wanted[6:8])
     given = jnp.where(fixed, jnp.zeros(10).at[6:8].set(held) / scales, 0.0)
     reduced = jnp.where(fixed | fixed[:, None], jnp.eye(10), system)
-    step = scales * _solved(reduced, jnp.where(fixed, given, scales * slope - system @ given))
+    step = scales * solved(reduced, jnp.where(fixed, given, scales * slope - system @ given))
     length = jnp.sqrt(jnp.sum(step[3:6] ** 2))
     step = step * jnp.minimum(1.0, 0.2 / jnp.maximum(length, 1e-9))  # a model that is linear for 10 degrees at most
     reach = prior.half_m + _BEYOND_M
-    tried = _judged(
+    tried = judged(
         table,
         subspace,
         statistics,
@@ -264,15 +264,15 @@ def _step(table, subspace, statistics, prior, now, temperature, body=None):
             now.log_gain + step[8],
             now.phase + step[9],
         ),
-        now.damping * _EASIER,
+        now.damping * EASIER,
         body,
     )
     better = cost(tried, statistics, prior, temperature) <= cost(now, statistics, prior, temperature)
-    kept = now._replace(damping=now.damping * _HARDER)
+    kept = now._replace(damping=now.damping * HARDER)
     return jax.tree.map(lambda new, old: jnp.where(better, new, old), tried, kept)
 
 
-def _solved(system, right):
+def solved(system, right):
     """A small symmetric positive system, by Cholesky's factors written out: a batch of them is plain arithmetic."""
     size = right.shape[0]
     rows: list[list[Any]] = [[None] * size for _ in range(size)]
