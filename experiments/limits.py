@@ -47,7 +47,7 @@ COMBS = {
     "8 tones, 100 MHz": (8, 100e6),
 }
 SNRS_DB = np.arange(0.0, 42.0, 2.0)
-SEARCHED_DB, SLOTS = (0.0, 10.0, 20.0, 30.0, 40.0), 8
+SEARCHED_DB, SLOTS = (0.0, 10.0, 20.0, 30.0), 4
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:

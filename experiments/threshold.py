@@ -41,7 +41,7 @@ from august_jax.schemes.matched_field import expected_errors
 from august_jax.signal.roi import Subspace
 
 SNRS_DB = (0.0, 10.0, 20.0, 30.0)
-COUNT = 9
+COUNT = 4
 CRAFT = ("quad_x", "hexa", "octo")
 HALF_WHEELBASE_M = 0.2
 """Smaller than the preset's: bodies and tables of several tones then take a third of the time."""
@@ -130,8 +130,8 @@ def compute(
     results = {**columns(kept.rows), "crafts": np.array(len(config.target.airframes))}
     settings = {
         "small": small,
-        "count": count,
-        "snrs_db": list(map(float, snrs)),
+        "slots": len({row["slot"] for row in kept.rows}),
+        "snrs_db": sorted({row["snr_db"] for row in kept.rows}),
         "cases": {name: case._asdict() for name, case in known.items()},
         "radius_deg": RADIUS_DEG,
         "one": ONE,
@@ -367,7 +367,9 @@ def draw(results: dict[str, np.ndarray], path: Path) -> None:
             axis.grid(True, alpha=0.3)
             axis.set(ylim=limits) if limits else axis.set_yscale("log")
     axes[1, 0].set_ylim(bottom=0.9)
-    fig.suptitle(f"{len(settings['configuration']['target']['airframes'])} known craft, {settings['count']} slots each")
+    fig.suptitle(
+        f"{len(settings['configuration']['target']['airframes'])} known craft, at most {settings['slots']} slots each"
+    )
     from matplotlib.lines import Line2D
 
     meaning = [
