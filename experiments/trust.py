@@ -319,7 +319,8 @@ def table(numbers: dict[str, np.ndarray]) -> str:
         levels = [name for name in part if name.endswith("_level") or name.startswith("rank_")]
         least = min((calibration.uniformity(part[name])[1], name) for name in levels) if count > 1 else (np.nan, "")
         known = np.isfinite(part["start_residual"])
-        expected = [part[f"expected_{name}"].mean() for name in ("error_m", "normal_error")]
+        told = [part.get(f"expected_{name}", np.full(count, np.nan)) for name in ("error_m", "normal_error")]
+        expected = [np.mean(values[np.isfinite(values)]) if np.isfinite(values).any() else np.nan for values in told]
         cells = (
             world,
             f"{snr:g}",

@@ -35,15 +35,39 @@ class _Stage(NamedTuple):
     snr_db: float
 
 
-_LOOKED = 16_000
-_STAGES = (
-    _Stage(8000, 1, 18.0),
-    _Stage(4000, 1, 18.0),
-    _Stage(1500, 1, 20.0),
-    _Stage(500, 2, 24.0),
-    _Stage(192, 4, 34.0),
-    _Stage(128, 6, 60.0),
+class _Plan(NamedTuple):
+    """How many of the first look's candidates are kept, and what is done with them."""
+
+    looked: int
+    stages: tuple[_Stage, ...]
+
+
+_QUICK = _Plan(
+    16_000,
+    (
+        _Stage(8000, 1, 18.0),
+        _Stage(4000, 1, 18.0),
+        _Stage(1500, 1, 20.0),
+        _Stage(500, 2, 24.0),
+        _Stage(192, 4, 34.0),
+        _Stage(128, 6, 60.0),
+    ),
 )
+# Of one slot in forty the first steps, too long ones, are all refused, and the truth is left behind.
+_PATIENT = _Plan(
+    32_000,
+    (
+        _Stage(16_000, 3, 18.0),
+        _Stage(8000, 2, 18.0),
+        _Stage(3000, 2, 20.0),
+        _Stage(1000, 3, 24.0),
+        _Stage(256, 4, 34.0),
+        _Stage(128, 6, 60.0),
+    ),
+)
+_PLANS = (_QUICK, _PATIENT)
+_DOUBTED = 0.05
+"""Where noise alone leaves as much less often than this, the search is made again with more patience."""
 _MODES = 12
 _SHAKEN = 16
 _SHAKEN_SNR_DB = 14.0
@@ -83,33 +107,44 @@ def find_craft(
     table, subspace = library.table, library.subspace
     statistics = jax.tree.map(jnp.asarray, statistics)
     snr_db = echo_snr_db(statistics, subspace)
-    if proposals is None:
-        place = bearing(statistics, subspace, library.config.region.scale_m)
-        reach_m = float(np.sqrt(3.0) * prior.half_m)  # of the prediction's range, which bearings leave alone
-        seen = screen(library.survey, subspace, statistics, place, library.attitudes, _LOOKED, reach_m)
-        low, high = np.asarray(prior.permittivity)
-        permittivity = np.clip(1.0 + library.survey_contrast * np.abs(seen.gain), low, high)
-        loss = np.full(len(permittivity), float(prior.middle()[1]), np.float32)
-        clock("screen")
-        found = begin(table, subspace, statistics, seen.craft, seen.rotation, seen.position, permittivity, loss)
-        met = []
-        for stage in _STAGES:
-            heat = max(1.0, 10.0 ** ((snr_db - stage.snr_db) / 10.0))
-            found = improved(table, subspace, statistics, prior, found, heat, steps=stage.steps)
-            found = _best(found, statistics, prior, heat, stage.kept)
-            met.append(_best(found, statistics, prior, 1.0, min(stage.kept, _SEEN)))
-    else:
-        found = improved(table, subspace, statistics, prior, proposals, 1.0, steps=6)
-        met = [found]
-    found = _shaken(library, statistics, prior, found, snr_db)
-    clock("refine")
     exact = _beyond_the_table(library, statistics)
-    modes = _modes(library, statistics, prior, found, exact)
-    clock("polish")
-    first, corrections = _first(library, statistics, prior, modes, _joined([*met, found]), exact)
+    met: list[Candidates] = []
+    modes: Candidates | None = None
+    for plan in _PLANS:
+        if proposals is None:
+            found = _looked(library, statistics, prior, snr_db, plan, met, clock)
+        else:
+            found = improved(library.table, library.subspace, statistics, prior, proposals, 1.0, steps=6)
+        met.append(_shaken(library, statistics, prior, found, snr_db))
+        clock("refine")
+        modes = _modes(library, statistics, prior, met[-1] if modes is None else _joined([met[-1], modes]), exact)
+        clock("polish")
+        if proposals is not None or _chance(_least(modes, statistics, prior), _degrees(statistics)) > _DOUBTED:
+            break
+    assert modes is not None
+    first, corrections = _first(library, statistics, prior, modes, _joined(met), exact)
     poses, log_weight = populate(key, table, subspace, statistics, prior, first, corrections)
     clock("sample")
     return _posterior(library, statistics, prior, modes, poses, log_weight, level, seconds)
+
+
+def _looked(library, statistics, prior, snr_db, plan: _Plan, met: list, clock) -> Candidates:
+    """What is left of a first look at everything; ``met`` gets candidates of its stages."""
+    table, subspace = library.table, library.subspace
+    place = bearing(statistics, subspace, library.config.region.scale_m)
+    reach_m = float(np.sqrt(3.0) * prior.half_m)  # of the prediction's range, which bearings leave alone
+    seen = screen(library.survey, subspace, statistics, place, library.attitudes, plan.looked, reach_m)
+    low, high = np.asarray(prior.permittivity)
+    permittivity = np.clip(1.0 + library.survey_contrast * np.abs(seen.gain), low, high)
+    loss = np.full(len(permittivity), float(prior.middle()[1]), np.float32)
+    clock("screen")
+    found = begin(table, subspace, statistics, seen.craft, seen.rotation, seen.position, permittivity, loss)
+    for stage in plan.stages:
+        heat = max(1.0, 10.0 ** ((snr_db - stage.snr_db) / 10.0))
+        found = improved(table, subspace, statistics, prior, found, heat, steps=stage.steps)
+        found = _best(found, statistics, prior, heat, stage.kept)
+        met.append(_best(found, statistics, prior, 1.0, min(stage.kept, _SEEN)))
+    return found
 
 
 def refined(
@@ -145,7 +180,8 @@ class _Clock:
 
     def __call__(self, stage: str) -> None:
         now = time.perf_counter()
-        self._seconds[stage], self._began = now - self._began, now
+        self._seconds[stage] = self._seconds.get(stage, 0.0) + now - self._began
+        self._began = now
 
 
 def _check(library: Library, statistics: Statistics, prior: Prior) -> None:
@@ -288,9 +324,24 @@ def _first(library, statistics, prior, modes, met, exact) -> tuple[Mixture, np.n
     return mixture(parts, share, nearest(modes, parts.craft, parts.rotation, parts.position), prior), values
 
 
-def _posterior(library, statistics, prior, modes: Candidates, poses: Poses, log_weight, level, seconds):
+def _least(modes: Candidates, statistics: Statistics, prior: Prior) -> float:
+    """The best residual; a tilt beyond the largest explains nothing."""
+    allowed = scored(modes, statistics, prior)[1] > -np.inf
+    return float(np.min(modes.residual[allowed] if np.any(allowed) else modes.residual))
+
+
+def _degrees(statistics: Statistics) -> int:
+    return 2 * int(statistics.received.size) - 10
+
+
+def _chance(energy: float, degrees: int) -> float:
+    """That noise of so many real degrees of freedom has as much energy."""
     from scipy.stats import chi2
 
+    return float(chi2.sf(2.0 * energy, degrees))
+
+
+def _posterior(library, statistics, prior, modes: Candidates, poses: Poses, log_weight, level, seconds):
     if np.all(np.isneginf(log_weight)):  # every sample fell outside of the prior: the modes lie at its edge
         log_weight = np.zeros_like(log_weight)
     log_weight = log_weight - np.logaddexp.reduce(log_weight)
@@ -300,9 +351,7 @@ def _posterior(library, statistics, prior, modes: Candidates, poses: Poses, log_
     weight = np.bincount(own[own >= 0], np.exp(log_weight[own >= 0]), len(modes.craft))
     order = np.argsort(-weight, kind="stable")
     modes, weight = modes.at(order), weight[order] / weight.sum()
-    allowed = scored(modes, statistics, prior)[1] > -np.inf  # a tilt beyond the largest explains nothing
-    residual = float(np.min(modes.residual[allowed] if np.any(allowed) else modes.residual))
-    degrees = 2 * statistics.received.size - 10
+    residual = _least(modes, statistics, prior)
     return Posterior(
         Hypotheses(
             np.asarray(modes.craft),
@@ -323,9 +372,9 @@ def _posterior(library, statistics, prior, modes: Candidates, poses: Poses, log_
         len(library.targets),
         float(1.0 / np.sum(np.exp(2.0 * log_weight))),
         residual,
-        degrees,
-        float(chi2.sf(2.0 * residual, degrees)),
+        _degrees(statistics),
+        _chance(residual, _degrees(statistics)),
         level,
         seconds,
-        float(chi2.sf(2.0 * float(jnp.sum(jnp.abs(statistics.received) ** 2)), 2 * statistics.received.size)),
+        _chance(float(jnp.sum(jnp.abs(statistics.received) ** 2)), 2 * int(statistics.received.size)),
     )
