@@ -141,8 +141,12 @@ def _explore(
 ) -> None:
     """Add the lines of a world that are not there."""
     world = WORLDS[name]
+    target = replace(config.target, **world.target)
     flown = replace(
-        config, target=replace(config.target, **world.target), data=replace(config.data, observed=False, solver="mom")
+        config,
+        target=target,
+        region=replace(config.region, permittivity_max=max(config.region.permittivity_max, target.permittivity[1])),
+        data=replace(config.data, observed=False, solver="mom"),
     )
     flying = list(targets)
     if name == "meshes":
@@ -320,7 +324,7 @@ def table(numbers: dict[str, np.ndarray]) -> str:
         least = min((calibration.uniformity(part[name])[1], name) for name in levels) if count > 1 else (np.nan, "")
         known = np.isfinite(part["start_residual"])
         told = [part.get(f"expected_{name}", np.full(count, np.nan)) for name in ("error_m", "normal_error")]
-        expected = [np.mean(values[np.isfinite(values)]) if np.isfinite(values).any() else np.nan for values in told]
+        whole = bool(np.all(np.isfinite(told)))  # of part of the slots a mean would say nothing
         cells = (
             world,
             f"{snr:g}",
@@ -329,7 +333,7 @@ def table(numbers: dict[str, np.ndarray]) -> str:
             f"{part['prediction_error_m'].mean():.3f}",
             mean("normal_error", 4),
             f"{part['up_error'].mean():.3f}",
-            f"{expected[0]:.3f}, {expected[1]:.4f}",
+            f"{told[0].mean():.3f}, {told[1].mean():.4f}" if whole else "",
             f"{10.0 * np.log10(part['mcd_m2'].mean()):.1f}",
             percent(calibration.share(part["named"] == part["craft"])),
             f"{100.0 * part['named_probability'].mean():.0f}",
@@ -414,12 +418,13 @@ def draw(results: dict[str, np.ndarray], path: Path) -> None:
         (axes[2, 2], lambda at: calibration.share(results["explained"][at]), "told to be explained"),
         (axes[2, 3], lambda at: calibration.share(results["named"][at] == results["craft"][at]), "craft named rightly"),
     ):
+        every = np.unique(results["snr_db"])
         for row, world in enumerate(worlds):
             mine = [(snr, *value(at)) for name, snr, at in groups if name == world]
             snrs, shares, errors = np.array(mine).T
-            places = np.arange(len(snrs)) + step * row - 0.4 + step / 2.0
+            places = np.searchsorted(every, snrs) + step * row - 0.4 + step / 2.0
             axis.bar(places, shares, 0.9 * step, yerr=errors, color=f"C{row}", label=world, error_kw={"lw": 0.8})
-        axis.set_xticks(np.arange(len(snrs)), [f"{snr:g} dB" for snr in snrs])
+        axis.set_xticks(np.arange(len(every)), [f"{snr:g} dB" for snr in every])
         axis.set(title=title, ylim=(0, 1))
     axes[2, 1].axhline(0.9, color="0.4", ls="--")
     axes[2, 3].axhline(1.0 / int(results["crafts"]), color="0.4", ls="--")
