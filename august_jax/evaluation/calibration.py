@@ -47,7 +47,8 @@ def rank(values: Float[Array, " m"], weights: Float[Array, " m"], truth: float |
         ValueError: shapes that do not fit, or weights that are negative, not finite or all zero.
     """
     values, weights = np.asarray(values, np.float64), _shares(weights, values, "values", 1)
-    return float(weights @ (values < truth) + 0.5 * (weights @ (values == truth)))
+    below = float(weights @ (values < truth) + 0.5 * (weights @ (values == truth)))
+    return min(below, 1.0)  # sums of many weights round
 
 
 def position_level(positions: Float[Array, "m 3"], weights: Float[Array, " m"], truth: Float[Array, "3"]) -> float:
