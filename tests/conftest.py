@@ -28,6 +28,9 @@ if os.environ.get("AUGUST_CHECK_TYPES", "1") != "0" and find_spec("beartype"):
 
 # so that no test reads or leaves files in the user's own
 os.environ.setdefault("AUGUST_CACHE", tempfile.mkdtemp(prefix="august-cache-"))
+# Both workers share what either has compiled, and find again what was dropped between modules.
+os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", tempfile.mkdtemp(prefix="august-compiled-"))
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.2")
 os.environ.setdefault("MPLBACKEND", "Agg")
 # Most of the suite's time is compilation; code that runs once need not be fast. A file of flags is left alone.
 if not os.environ.get("XLA_FLAGS", "").strip() or os.environ["XLA_FLAGS"].lstrip().startswith("-"):

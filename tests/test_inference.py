@@ -204,10 +204,12 @@ def test_moved_statistics_are_those_about_another_place():
     assert 0.9 < kept <= 1.0 + 1e-5
 
 
-@pytest.mark.parametrize("snr_db", [pytest.param(20.0, marks=pytest.mark.slow), 30.0])
-def test_search_is_as_good_as_from_the_truth_and_leaves_what_noise_leaves(snr_db):
+@pytest.mark.parametrize(
+    "snr_db, slots", [(30.0, 2), *(pytest.param(snr_db, 6, marks=pytest.mark.slow) for snr_db in (20.0, 30.0))]
+)
+def test_search_is_as_good_as_from_the_truth_and_leaves_what_noise_leaves(snr_db, slots):
     good = explained = 0
-    for row in range(6):
+    for row in range(slots):
         statistics = heard(row, snr_db)
         found = find_craft(library(), statistics, prior(), key=jax.random.key(row))
         start, _ = refined(library(), statistics, prior(), *truth(row))
@@ -217,8 +219,8 @@ def test_search_is_as_good_as_from_the_truth_and_leaves_what_noise_leaves(snr_db
         np.testing.assert_allclose(found.hypotheses.weight.sum(), 1.0, rtol=1e-5)
         np.testing.assert_allclose(np.linalg.norm(found.mean_normal), 1.0, rtol=1e-5)
         assert np.all(np.diff(found.hypotheses.weight) <= 1e-12)
-    assert good >= 5
-    assert explained >= 5
+    assert good >= slots - 1
+    assert explained >= slots - 1
 
 
 def test_refinement_finds_the_pose_from_nearby():
@@ -244,7 +246,7 @@ def test_refinement_finds_the_pose_from_nearby():
     assert float(cost(after, statistics, prior())[0]) < best + 3.0
 
 
-@pytest.mark.parametrize("snr_db", [-12.0, -18.0])
+@pytest.mark.parametrize("snr_db", [pytest.param(-12.0, marks=pytest.mark.slow), -18.0])
 def test_posterior_against_brute_force(snr_db):
     """Two craft, 8 antennas, little power: craft probabilities and moments of the place from 8e4 draws of the prior,
     within five deviations of what so many draws allow."""
