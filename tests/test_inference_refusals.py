@@ -186,6 +186,7 @@ def test_where_nothing_is_heard_it_is_said(name):
     finite(found)
 
 
+@pytest.mark.slow
 def test_a_craft_outside_of_where_it_may_be_is_heard_and_not_explained():
     found = searched(slot(3.0)[1])
     assert found.heard and found.silence == 0.0 and not found.explained
