@@ -27,14 +27,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from script import run
-from searched import SEED, Lines, columns, observed
+from searched import SEED, Lines, columns, fresh, observed
 
 from august_jax import streams
 from august_jax.app.plotting import new_figure, save
 from august_jax.config import Config, preset
-from august_jax.data import Sample, Target, generate, prepare_targets, unpack
+from august_jax.data import Sample, Target, prepare_targets, unpack
 from august_jax.data.observe import draw_prediction
 from august_jax.evaluation import calibration, metrics
+from august_jax.evaluation.explanations import arms
 from august_jax.inference import Library, Posterior, Prior, find_craft, known_craft, refined
 from august_jax.progress import Progress
 from august_jax.scene.airframes import Airframe
@@ -146,7 +147,6 @@ def _explore(
         config,
         target=target,
         region=replace(config.region, permittivity_max=max(config.region.permittivity_max, target.permittivity[1])),
-        data=replace(config.data, observed=False, solver="mom"),
     )
     flying = list(targets)
     if name == "meshes":
@@ -157,8 +157,7 @@ def _explore(
     left = [(slot, snr) for slot in range(count) for snr in snrs if (slot, snr) not in done]
     if not left:
         return
-    numbers, slots = np.arange(count), config.flight.slots
-    samples = generate(flown, numbers * slots + numbers % slots, flying, seed=SEED, domain="evaluate")
+    samples = fresh(flown, flying, count)
     libraries: dict[int | None, tuple[Library, Prior]] = {}
     began = time.monotonic()
     for at, (slot, snr_db) in enumerate(left, 1):
@@ -205,7 +204,7 @@ def _looked(
     weights = np.asarray(found.weights, float)
     turn = truth["rotation"].T @ np.asarray(best.rotation[0])
     heading = np.degrees(np.arctan2(turn[1, 0] - turn[0, 1], turn[0, 0] + turn[1, 1]))
-    by_arms = 360.0 / _arms(airframe)
+    by_arms = 360.0 / arms(airframe)
     cloud = library.airframes[int(best.craft[0])].sample_surface(sample_key, len(samples.points[slot]))
     probabilities = np.asarray(found.craft_probability, float)
     line = {
@@ -285,19 +284,6 @@ def _ranks(
     true = numbers(*(np.asarray(truth[name], float) for name in ("position", "rotation", "permittivity")))
     pairs = zip(RANKS, [*samples, found.conductivity], [*true, truth["conductivity"]], strict=True)
     return {name: calibration.rank(np.asarray(values), weights, float(own)) for name, values, own in pairs}
-
-
-def _arms(airframe: Airframe) -> int:
-    """Turns by 1/n of a circle put rotors where rotors are; 1 where the rotors are not known."""
-    if airframe.rotor_axes_m is None:
-        return 1
-    tips = np.asarray(airframe.rotor_axes_m)[:, 0] + 1j * np.asarray(airframe.rotor_axes_m)[:, 1]
-    tips = tips - tips.mean()
-    for count in (8, 6, 4, 3, 2):
-        apart = np.abs(tips[:, None] * np.exp(2j * np.pi / count) - tips)
-        if apart.min(axis=1).max() < 0.02 * np.abs(tips).max():
-            return count
-    return 1
 
 
 def table(numbers: dict[str, np.ndarray]) -> str:

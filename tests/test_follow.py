@@ -234,7 +234,7 @@ def test_the_command_tells_of_slots_and_draws_them(kept, tmp_path, monkeypatch, 
     monkeypatch.setattr("august_jax.data.prepare_targets", lambda *_: [])
     monkeypatch.setattr("august_jax.inference.known_craft", lambda *_, **__: library())
     monkeypatch.setattr("august_jax.schemes.follow_flight", lambda *_, **__: found)
-    monkeypatch.setattr(cli.track, "_channels", lambda *_: None)
+    monkeypatch.setattr("august_jax.data.channels_along", lambda *_: None)
     words = "track --preset smoke --airframe quad_x --seed 5 --slots 7 --style smooth --json --out"
     assert cli.main([*words.split(), str(tmp_path / "out")]) == 0
     told = json.loads(capsys.readouterr().out)

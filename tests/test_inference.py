@@ -7,9 +7,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from echoes import echo_of, truth_of
 
 from august_jax.config import preset
-from august_jax.data import generate, prepare_targets, unpack
+from august_jax.data import generate, prepare_targets
 from august_jax.inference import Prior, find_craft, known_craft, refined
 from august_jax.inference.population import log_mean_likelihood
 from august_jax.inference.prior import TILT_BINS
@@ -19,7 +20,7 @@ from august_jax.physics import Parameters, parameter_channel, rotation_from_vect
 from august_jax.physics.body.local import local_coefficients
 from august_jax.physics.body.survey import nearest_directions, surveyed_coefficients
 from august_jax.scene import random_rotation
-from august_jax.signal import Statistics, observe_region, project
+from august_jax.signal import Statistics, project
 from august_jax.signal.roi import change_of_centre
 
 SMOKE = preset("smoke")
@@ -44,31 +45,11 @@ def slots(count=6):
 
 def heard(row, snr_db):
     """What the station keeps of a sample's echo."""
-    samples = slots()
-    where, noise = jax.random.split(jax.random.fold_in(jax.random.key(1), row))
-    half = CONFIG.region.threshold_m
-    predicted = jnp.asarray(samples.position[row]) + jax.random.uniform(where, (3,), minval=-half, maxval=half)
-    seen = observe_region(
-        noise,
-        unpack(jnp.asarray(samples.true_channel[row])),
-        predicted,
-        array=CONFIG.array,
-        signal=CONFIG.signal,
-        region=CONFIG.region,
-        snr_db=snr_db,
-    )
-    return seen.statistics
+    return echo_of(CONFIG, slots(), row, snr_db)
 
 
 def truth(row):
-    samples = slots()
-    return (
-        int(samples.airframe[row]),
-        samples.rotation[row],
-        samples.position[row],
-        float(samples.permittivity[row]),
-        float(samples.conductivity[row]),
-    )
+    return truth_of(slots(), row)
 
 
 def exact(craft, theta, centre):

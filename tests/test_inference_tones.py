@@ -7,16 +7,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from echoes import echo_of, truth_of
 
 from august_jax.config import preset
-from august_jax.data import generate, prepare_targets, unpack
+from august_jax.data import generate, prepare_targets
 from august_jax.data.simulator import contrast_of
 from august_jax.inference import Prior, find_craft, known_craft, refined
 from august_jax.inference.refine import begin
 from august_jax.inference.screen import attitude_lattice, screen
 from august_jax.physics import PlanarArray, sensing_channel
 from august_jax.physics.body.local import local_coefficients
-from august_jax.signal import Statistics, observe_region, project
+from august_jax.signal import Statistics, project
 
 SMOKE = preset("smoke")
 TONES = (2.96e9, 3.04e9)  # 80 MHz apart: their phase repeats every 1.9 m of range
@@ -52,27 +53,13 @@ def slots(count=4):
 
 
 def heard(row, snr_db, tones=slice(None)):
-    """What the station keeps of a sample's echo at some of the tones, q_pre somewhere in the cube about it."""
-    config, samples = library().config, slots()
-    where, noise = jax.random.split(jax.random.fold_in(jax.random.key(1), row))
-    half = config.region.threshold_m
-    predicted = jnp.asarray(samples.position[row]) + jax.random.uniform(where, (3,), minval=-half, maxval=half)
-    channel = unpack(jnp.asarray(samples.true_channel[row]))
-    seen = observe_region(
-        noise, channel, predicted, array=config.array, signal=config.signal, region=config.region, snr_db=snr_db
-    ).statistics
+    """What the station keeps of a sample's echo at some of the tones."""
+    seen = echo_of(library().config, slots(), row, snr_db)
     return Statistics(seen.received[tones], seen.pilots[tones], seen.centre)
 
 
 def truth(row):
-    samples = slots()
-    return (
-        int(samples.airframe[row]),
-        samples.rotation[row],
-        samples.position[row],
-        float(samples.permittivity[row]),
-        float(samples.conductivity[row]),
-    )
+    return truth_of(slots(), row)
 
 
 def along(row, position):

@@ -345,6 +345,7 @@ def channels_along(
     positions: Float[Array, "poses 3"],
     permittivity: float,
     conductivity: float,
+    body: Body | None = None,
 ) -> Complex[jax.Array, "poses tones antennas antennas"]:
     """True channels of one craft in T poses (T, F, N_b, N_b) complex64, by ``config.data.solver``.
 
@@ -355,11 +356,15 @@ def channels_along(
             ``table``, too: a table takes as long again, and pays from tens of thousands of poses.
         rotations, positions: body to world (T, 3, 3), surface centroids (T, 3) [m].
         permittivity, conductivity: the material, [1] and [S/m].
+        body: the craft's, where it was factored already; taken for any number of poses.
     """
     scatterer: Body | Cells
-    scatterer, _ = lattice_of(airframe, config.target)
-    if config.data.dense_solver == "mom" and len(positions) > _DENSE_POSES:
-        scatterer = factor_body(scatterer, config.array.frequencies_hz, nearest_m=nearest_distance(config))
+    if body is None:
+        scatterer, _ = lattice_of(airframe, config.target)
+        if config.data.dense_solver == "mom" and len(positions) > _DENSE_POSES:
+            scatterer = factor_body(scatterer, config.array.frequencies_hz, nearest_m=nearest_distance(config))
+    else:
+        scatterer = body
 
     def one(pose: tuple[jax.Array, jax.Array]) -> jax.Array:
         return simulated_channel(config, scatterer, *pose, permittivity, conductivity)

@@ -6,7 +6,7 @@ import numpy as np
 
 from august_jax.config import Config
 from august_jax.evaluation import calibration
-from august_jax.evaluation.score import Row, score_track
+from august_jax.evaluation.score import Row, hypotheses, score_track
 from august_jax.inference.follow import Step
 from august_jax.schemes.followed import Flown
 
@@ -57,7 +57,6 @@ def score_flown(flown: Flown, config: Config, size_m: float, *, seed: int = 0) -
 def _told(step: Step, flown: Flown, position: np.ndarray) -> Row:
     alike = np.full(len(step.samples), 1.0 / len(step.samples))
     best = int(np.argmax(step.craft_probability))
-    shown = len(flown.clouds[step.slot])
     return {
         "expected_error_m": step.expected_error_m,
         "expected_mde": step.expected_mde,
@@ -69,18 +68,7 @@ def _told(step: Step, flown: Flown, position: np.ndarray) -> Row:
             "probability": step.probability,
             "position": step.mean_position.tolist(),
             "normal": step.mean_normal.tolist(),
-            "hypotheses": [
-                {
-                    "craft": flown.names[int(step.craft[row])],
-                    "probability": float(step.weight[row]),
-                    "position": step.position[row].tolist(),
-                    "normal": step.rotation[row][:, 2].tolist(),
-                    "heading_deg": float(np.degrees(np.arctan2(step.rotation[row][1, 0], step.rotation[row][0, 0]))),
-                    "permittivity": float(step.permittivity[row]),
-                    "conductivity": float(step.conductivity[row]),
-                }
-                for row in range(shown)
-            ],
+            "hypotheses": hypotheses(step, flown.names, len(flown.clouds[step.slot])),
             "detected": bool(step.detected),
             "whole": bool(step.searched),
             "lost": bool(step.lost),

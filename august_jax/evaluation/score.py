@@ -13,6 +13,7 @@ import numpy as np
 from august_jax import streams
 from august_jax.config import Config
 from august_jax.evaluation import calibration, metrics
+from august_jax.inference import Hypotheses, Step
 from august_jax.scene.airframes import resolve_airframe
 from august_jax.scene.cloud import WorldCloud
 from august_jax.schemes import SCHEMES, Answer, Setting, Slots, Truth
@@ -187,7 +188,7 @@ def _about(search: Search, track: Track) -> Answer:
 def _searched(found: Found, names: Sequence[str]) -> Row:
     posterior, answer = found.posterior, found.answer
     assert answer.craft is not None and answer.position is not None and answer.normal is not None
-    these, craft = posterior.hypotheses, int(answer.craft[0])
+    craft = int(answer.craft[0])
     return {
         "craft": None if craft < 0 else names[craft],
         "craft_probability": dict(zip(names, map(float, posterior.craft_probability), strict=True)),
@@ -195,19 +196,24 @@ def _searched(found: Found, names: Sequence[str]) -> Row:
         "probability": float(posterior.probability),
         "position": np.asarray(answer.position[0], float).tolist(),
         "normal": np.asarray(answer.normal[0], float).tolist(),
-        "hypotheses": [
-            {
-                "craft": names[int(these.craft[number])],
-                "probability": float(these.weight[number]),
-                "position": np.asarray(these.position[number], float).tolist(),
-                "normal": np.asarray(these.rotation[number, :, 2], float).tolist(),
-                "heading_deg": float(np.degrees(np.arctan2(*these.rotation[number, 1::-1, 0]))),
-                "permittivity": float(these.permittivity[number]),
-                "conductivity": float(these.conductivity[number]),
-            }
-            for number in range(len(found.clouds))
-        ],
+        "hypotheses": hypotheses(posterior.hypotheses, names, len(found.clouds)),
     }
+
+
+def hypotheses(these: Hypotheses | Step, names: Sequence[str], count: int) -> list[Row]:
+    """The first ``count`` hypotheses of a slot as plain numbers, most probable first."""
+    return [
+        {
+            "craft": names[int(these.craft[row])],
+            "probability": float(these.weight[row]),
+            "position": np.asarray(these.position[row], float).tolist(),
+            "normal": np.asarray(these.rotation[row, :, 2], float).tolist(),
+            "heading_deg": float(np.degrees(np.arctan2(*these.rotation[row, 1::-1, 0]))),
+            "permittivity": float(these.permittivity[row]),
+            "conductivity": float(these.conductivity[row]),
+        }
+        for row in range(count)
+    ]
 
 
 def _slot(track: Track, slot: int) -> Row:

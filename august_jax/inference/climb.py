@@ -17,7 +17,7 @@ from jaxtyping import Float
 
 from august_jax.arrays import Array
 from august_jax.inference.motion import HEADING, SEEN
-from august_jax.inference.refine import EASIER, FIRST, HARDER, SCALES, Candidates, judged, solved
+from august_jax.inference.refine import EASIER, FIRST, SCALES, Candidates, judged, shortened, solved, taken
 from august_jax.physics.parameters import rotation_from_vector
 
 
@@ -118,9 +118,7 @@ def _step(table, subspace, statistics, expected, ranges, now, temperature, body=
     slope = now.slope / temperature - pull @ _apart(now, expected.middle)
     system = (now.information / temperature + pull @ change) * scales * scales[:, None]
     system = system + now.damping * jnp.diag(jnp.diagonal(system))
-    step = scales * solved(system, scales * slope)
-    length = jnp.sqrt(jnp.sum(step[3:6] ** 2))
-    step = step * jnp.minimum(1.0, 0.2 / jnp.maximum(length, 1e-9))
+    step = shortened(scales * solved(system, scales * slope))
     tried = judged(
         table,
         subspace,
@@ -137,9 +135,7 @@ def _step(table, subspace, statistics, expected, ranges, now, temperature, body=
         now.damping * EASIER,
         body,
     )
-    better = cost(tried) <= cost(now)
-    kept = now._replace(damping=now.damping * HARDER)
-    return jax.tree.map(lambda new, old: jnp.where(better, new, old), tried, kept)
+    return taken(tried, now, cost(tried) <= cost(now))
 
 
 def turning(rotation):

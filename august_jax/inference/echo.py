@@ -13,12 +13,30 @@ from august_jax.signal.estimators import Region, roi_coefficients
 from august_jax.signal.roi import Coefficients, Subspace, towards
 from august_jax.signal.station import Statistics
 
+_PARAMETERS = 10  # of a craft that is fitted: place, turn, material, gain
+
+
+def echo_energy(statistics: Statistics) -> float:
+    """What the statistics hold beyond the noise's mean, in units of the noise."""
+    return float(jnp.sum(jnp.abs(statistics.received) ** 2)) - statistics.received.size
+
 
 def echo_snr_db(statistics: Statistics, subspace: Subspace) -> float:
     """SNR over all antennas and as many symbols, of the echo's energy in the subspace [dB]."""
-    energy = float(jnp.sum(jnp.abs(statistics.received) ** 2)) - statistics.received.size
     entries = statistics.received.shape[0] * subspace.array.count**2
-    return float(10.0 * np.log10(max(energy / entries, 1e-3)))
+    return float(10.0 * np.log10(max(echo_energy(statistics) / entries, 1e-3)))
+
+
+def degrees_left(statistics: Statistics) -> int:
+    """Real degrees of freedom that a fitted craft leaves to the noise."""
+    return 2 * int(statistics.received.size) - _PARAMETERS
+
+
+def chance(energy: float, degrees: int) -> float:
+    """Probability that noise of so many real degrees of freedom has as much energy, in units of the noise."""
+    from scipy.stats import chi2
+
+    return float(chi2.sf(2.0 * energy, degrees))
 
 
 @partial(jax.jit, static_argnames=("subspace", "half_m"))

@@ -13,8 +13,17 @@ from jaxtyping import Float
 
 from august_jax.arrays import Array
 from august_jax.data.simulator import contrast_of
-from august_jax.inference.echo import bearing, echo_snr_db
-from august_jax.inference.hypotheses import Hypotheses, Posterior, covariances, distinct, evidence, nearest, shared_out
+from august_jax.inference.echo import bearing, chance, degrees_left, echo_energy, echo_snr_db
+from august_jax.inference.hypotheses import (
+    Hypotheses,
+    Posterior,
+    covariances,
+    distinct,
+    evenly_drawn,
+    evidence,
+    nearest,
+    shared_out,
+)
 from august_jax.inference.library import Library
 from august_jax.inference.population import Mixture, Poses, mixture, populate
 from august_jax.inference.prior import Prior
@@ -119,7 +128,7 @@ def find_craft(
         clock("refine")
         modes = _modes(library, statistics, prior, met[-1] if modes is None else _joined([met[-1], modes]), exact)
         clock("polish")
-        if proposals is not None or _chance(_least(modes, statistics, prior), _degrees(statistics)) > _DOUBTED:
+        if proposals is not None or chance(_least(modes, statistics, prior), degrees_left(statistics)) > _DOUBTED:
             break
     assert modes is not None
     first, corrections = _first(library, statistics, prior, modes, _joined(met), exact)
@@ -278,8 +287,7 @@ def _joined(parts: Sequence[Candidates]) -> Candidates:
 
 def _beyond_the_table(library: Library, statistics: Statistics) -> bool:
     """Whether the echo is so strong that a table's errors stand out of the noise, and factored bodies are asked."""
-    energy = float(jnp.sum(jnp.abs(statistics.received) ** 2)) - statistics.received.size
-    return energy * float(np.max(np.asarray(library.table.errors)[..., 0])) ** 2 > _MATTERS
+    return echo_energy(statistics) * float(np.max(np.asarray(library.table.errors)[..., 0])) ** 2 > _MATTERS
 
 
 def _modes(library, statistics, prior, found, exact):
@@ -311,9 +319,7 @@ def _first(library, statistics, prior, modes, met, exact) -> tuple[Mixture, np.n
     echo of little power has more explanations than can be told apart, about many of the candidates met on the way."""
     scores = evidence(met, statistics, prior)
     weight = np.exp(_TEMPER * (scores - scores.max()))
-    marks = (np.arange(_DRAWN) + 0.5) / _DRAWN
-    rows = np.minimum(np.searchsorted(np.cumsum(weight) / weight.sum(), marks), len(weight) - 1)
-    parts = _joined([modes, met.at(np.unique(rows))])
+    parts = _joined([modes, met.at(np.unique(evenly_drawn(weight, _DRAWN)))])
     scores = evidence(parts, statistics, prior)
     share, tempered = np.exp(scores - scores.max()), np.exp(_FLATTER * (scores - scores.max()))
     share = 0.6 * share / share.sum() + 0.4 * tempered / tempered.sum()
@@ -328,17 +334,6 @@ def _least(modes: Candidates, statistics: Statistics, prior: Prior) -> float:
     """The best residual; a tilt beyond the largest explains nothing."""
     allowed = scored(modes, statistics, prior)[1] > -np.inf
     return float(np.min(modes.residual[allowed] if np.any(allowed) else modes.residual))
-
-
-def _degrees(statistics: Statistics) -> int:
-    return 2 * int(statistics.received.size) - 10
-
-
-def _chance(energy: float, degrees: int) -> float:
-    """That noise of so many real degrees of freedom has as much energy."""
-    from scipy.stats import chi2
-
-    return float(chi2.sf(2.0 * energy, degrees))
 
 
 def _posterior(library, statistics, prior, modes: Candidates, poses: Poses, log_weight, level, seconds):
@@ -372,9 +367,9 @@ def _posterior(library, statistics, prior, modes: Candidates, poses: Poses, log_
         len(library.targets),
         float(1.0 / np.sum(np.exp(2.0 * log_weight))),
         residual,
-        _degrees(statistics),
-        _chance(residual, _degrees(statistics)),
+        degrees_left(statistics),
+        chance(residual, degrees_left(statistics)),
         level,
         seconds,
-        _chance(float(jnp.sum(jnp.abs(statistics.received) ** 2)), 2 * int(statistics.received.size)),
+        chance(float(jnp.sum(jnp.abs(statistics.received) ** 2)), 2 * int(statistics.received.size)),
     )

@@ -36,9 +36,9 @@ from august_jax import streams
 from august_jax.arrays import Array
 from august_jax.config import Config
 from august_jax.inference.climb import Expectation, begun_at, climbed, polished_about, turning, worth_about
-from august_jax.inference.echo import bearing, echo_snr_db
+from august_jax.inference.echo import bearing, chance, degrees_left, echo_snr_db
 from august_jax.inference.find import LEVEL, find_craft
-from august_jax.inference.hypotheses import distinct
+from august_jax.inference.hypotheses import distinct, evenly_drawn, shared_out
 from august_jax.inference.library import Library
 from august_jax.inference.motion import AXIS, HEADING, PLACE, SEEN, SIZE, Motion
 from august_jax.inference.prior import Prior
@@ -214,11 +214,11 @@ class Follower:
             parents = [self._detected(each) for each in self._expected] if detected else self._expected
             parents = _heaviest(parents, _PARENTS)
             found = self._locally(statistics, parents)
-        probability = self._probability(found)
+        probability = self._probability(statistics, found)
         if probability < SEARCHED or self._far_off(found):
             self._progress(f"slot {self._slot + 1}: searching for the craft among all attitudes of all that are known")
             found, searched = found + self._everywhere(statistics, parents), True
-            probability = self._probability(found)
+            probability = self._probability(statistics, found)
         kept = _merged(found)
         lost = probability < (
             self._level if self._lost else LOST
@@ -291,7 +291,8 @@ class Follower:
         for kept, steps, noise_db in _STAGES:
             heat = jnp.float32(max(1.0, 10.0 ** ((snr_db - noise_db) / 10.0)))
             found, which = in_pieces(partial(climb, heat, steps), (found, which))
-            rows = _shared_rows(worth_about(found, expected, which, heat) - weights[which] / float(heat), which, kept)
+            worth = worth_about(found, expected, which, heat) - weights[which] / float(heat)
+            rows = shared_out(worth, which, kept)[:kept]
             found, which = found.at(rows), which[rows]
         worth = worth_about(found, expected, which, 1.0) - weights[which]
         best = [
@@ -365,14 +366,12 @@ class Follower:
         begun = in_pieces(lambda piece: begun_at(*shared, *piece), start)
         return self._polished(statistics, parents, begun, which, 2 * _POLISH)  # the gain is not known yet
 
-    def _probability(self, found: Sequence[_Child]) -> float:
-        from scipy.stats import chi2
-
+    @staticmethod
+    def _probability(statistics: Statistics, found: Sequence[_Child]) -> float:
         if not found:
             return 0.0
         best = max(found, key=lambda child: child.belief.log_weight)
-        orders, tones = self.library.subspace.orders, len(self.library.table.frequencies_hz)
-        return float(chi2.sf(2.0 * best.residual, 2 * tones * orders**2 - 10))
+        return chance(best.residual, degrees_left(statistics))
 
     @staticmethod
     def _far_off(found: Sequence[_Child]) -> bool:
@@ -390,8 +389,7 @@ class Follower:
     def _told(self, kept, detected, searched, lost, probability, seconds) -> Step:
         weight = np.exp([each.log_weight for each in kept])
         rng = np.random.default_rng([self._seed, self._slot, 1])
-        drawn = np.searchsorted(np.cumsum(weight) / weight.sum(), (np.arange(_SAMPLES) + 0.5) / _SAMPLES)
-        drawn = np.minimum(drawn, len(kept) - 1)
+        drawn = evenly_drawn(weight, _SAMPLES)
         states = np.concatenate(
             [
                 rng.multivariate_normal(each.mean, each.covariance, int(np.sum(drawn == row)), method="eigh")
@@ -488,18 +486,6 @@ def _seeds(rng, parents, count, sight, library, ranges):
     full = np.concatenate([state, np.zeros((len(state), SIZE - SEEN))], axis=1)
     parts = (rotations_of(full), state[:, PLACE], state[:, 6], state[:, 7], state[:, 8])
     return (craft, *(np.asarray(part, np.float32) for part in parts)), numbers
-
-
-def _shared_rows(score, which, kept):
-    """Rows of the best, of which every prediction has an equal part at first."""
-    order = np.argsort(score, kind="stable")
-    names = np.unique(which)
-    rank = np.empty(len(order), np.int64)
-    for name in names:
-        own = order[which[order] == name]
-        rank[own] = np.arange(len(own))
-    first = rank < max(kept // (2 * len(names)), 1)
-    return np.concatenate([order[first[order]], order[~first[order]]])[:kept]
 
 
 def _updated(parent: Belief, number: int, mode: Candidates, ranges) -> _Child:

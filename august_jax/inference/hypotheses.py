@@ -147,6 +147,19 @@ def evidence(candidates: Candidates, statistics: Statistics, prior: Prior) -> Fl
     return -costs + 0.5 * volume + np.maximum(tilts, -30.0)
 
 
+def evenly_drawn(weight: Float[np.ndarray, " n"], count: int, start: float = 0.5) -> Int[np.ndarray, "{count}"]:
+    """``count`` rows, each as often as its weight says: systematic resampling, whose error is small.
+
+    Args:
+        weight: of n rows, up to a factor.
+        count: how many rows.
+        start: of the marks, in their spacing; uniform between 0 and 1 where the draw is to be without bias.
+    """
+    reached = np.cumsum(np.asarray(weight, np.float64))
+    marks = (np.arange(count) + start) / count
+    return np.minimum(np.searchsorted(reached, marks * reached[-1]), len(reached) - 1)
+
+
 def shared_out(score: Float[np.ndarray, " n"], craft: Int[np.ndarray, " n"], most: int) -> Int[np.ndarray, " n"]:
     """Rows by score, lowest first, but that the first ``most`` hold ``most``/2C of each of C craft, if there are.
 

@@ -13,6 +13,7 @@ balance heuristic of Veach and Guibas, 1995; adaptive multiple importance sampli
 
 from __future__ import annotations
 
+import math
 from functools import partial
 from typing import NamedTuple
 
@@ -20,10 +21,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Complex, Float, Int
-from scipy.special import gammaln
 
 from august_jax.arrays import Array, ArrayLike
-from august_jax.inference.hypotheses import covariances
+from august_jax.inference.hypotheses import covariances, evenly_drawn
 from august_jax.inference.prior import Prior
 from august_jax.inference.refine import Candidates, begin, in_pieces
 from august_jax.physics.body.local import local_coefficients
@@ -148,9 +148,7 @@ def populate(
         if np.all(np.isneginf(log_weight)):
             break
         weight = np.exp(_TEMPER * (log_weight - log_weight.max()))
-        places = (np.arange(PARTS) + 0.5) / PARTS
-        rows = np.minimum(np.searchsorted(np.cumsum(weight) / weight.sum(), places), len(weight) - 1)
-        rows, times = np.unique(rows, return_counts=True)
+        rows, times = np.unique(evenly_drawn(weight, PARTS), return_counts=True)
         parts = begin(table, subspace, statistics, *jax.tree.map(lambda leaf, rows=rows: leaf[rows], poses))
         mixtures.append(mixture(parts, times.astype(float), origin[rows], prior, _NARROWER))
         proposed = np.concatenate([proposed, density(mixtures[-1], poses)[None]])
@@ -269,7 +267,8 @@ def _log_density(mixture: Mixture, poses: Poses, crafts: int, centre, prior: Pri
     """Of a mixture at poses (m,): per m^3, rad^3 of turn, permittivity and S/m; float64."""
     inverse = np.linalg.inv(np.asarray(mixture.factor, np.float64)) / _WIDER
     height = np.asarray(mixture.log_share) + np.sum(np.log(np.diagonal(inverse, axis1=1, axis2=2)), axis=1)
-    height += gammaln(0.5 * (_DEGREES + _SIZE)) - gammaln(0.5 * _DEGREES) - 0.5 * _SIZE * np.log(_DEGREES * np.pi)
+    height += math.lgamma(0.5 * (_DEGREES + _SIZE)) - math.lgamma(0.5 * _DEGREES)
+    height -= 0.5 * _SIZE * np.log(_DEGREES * np.pi)
     shape = (mixture.middle, inverse.astype(np.float32), (height + np.log1p(-_BLIND)).astype(np.float32))
     return in_pieces(lambda piece: _log_densities(*shape, crafts, centre, prior, piece), poses).astype(np.float64)
 

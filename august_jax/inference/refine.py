@@ -33,7 +33,7 @@ from august_jax.signal.station import Statistics
 
 SCALES = np.array([0.1, 0.1, 0.1, 0.05, 0.05, 0.05, 0.5, 2e-3, 0.1, 0.3], np.float32)
 """Of theta, so that the normal equations are of one size."""
-FIRST, EASIER, HARDER = 1e-2, 0.2, 8.0
+FIRST, EASIER, _HARDER = 1e-2, 0.2, 8.0
 _BEYOND_M = 0.2
 _TOGETHER = 64
 _PIECE = 128
@@ -248,8 +248,7 @@ def _step(table, subspace, statistics, prior, now, temperature, body=None):
     given = jnp.where(fixed, jnp.zeros(10).at[6:8].set(held) / scales, 0.0)
     reduced = jnp.where(fixed | fixed[:, None], jnp.eye(10), system)
     step = scales * solved(reduced, jnp.where(fixed, given, scales * slope - system @ given))
-    length = jnp.sqrt(jnp.sum(step[3:6] ** 2))
-    step = step * jnp.minimum(1.0, 0.2 / jnp.maximum(length, 1e-9))  # a model that is linear for 10 degrees at most
+    step = shortened(step)
     reach = prior.half_m + _BEYOND_M
     tried = judged(
         table,
@@ -268,7 +267,18 @@ def _step(table, subspace, statistics, prior, now, temperature, body=None):
         body,
     )
     better = cost(tried, statistics, prior, temperature) <= cost(now, statistics, prior, temperature)
-    kept = now._replace(damping=now.damping * HARDER)
+    return taken(tried, now, better)
+
+
+def shortened(step):
+    """A step (10,) that turns by 0.2 rad at most: the model is linear for 10 degrees."""
+    length = jnp.sqrt(jnp.sum(step[3:6] ** 2))
+    return step * jnp.minimum(1.0, 0.2 / jnp.maximum(length, 1e-9))
+
+
+def taken(tried, now, better):
+    """What was tried where it is better, else the candidate as it was, whose next step is shorter."""
+    kept = now._replace(damping=now.damping * _HARDER)
     return jax.tree.map(lambda new, old: jnp.where(better, new, old), tried, kept)
 
 

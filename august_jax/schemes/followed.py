@@ -52,6 +52,19 @@ class Flown(NamedTuple):
     craft: int | None
 
 
+def check_slots(slots: int) -> None:
+    """Refuse a flight that is too short.
+
+    Raises:
+        ValueError: fewer than SHORTEST slots.
+    """
+    if slots < SHORTEST:
+        raise ValueError(
+            f"slots: {slots} is too short a flight to follow; a detection says where to listen in the first "
+            f"{DETECTED_SLOTS}, so give {SHORTEST} or more"
+        )
+
+
 @streams.pin
 def follow_flight(
     library: Library,
@@ -78,11 +91,7 @@ def follow_flight(
         ValueError: a flight of fewer than SHORTEST slots.
     """
     slots = scenario.slots
-    if slots < SHORTEST:
-        raise ValueError(
-            f"slots: {slots} is too short a flight to follow; a detection says where to listen in the first "
-            f"{DETECTED_SLOTS}, so give {SHORTEST} or more"
-        )
+    check_slots(slots)
     craft = next((row for row, each in enumerate(library.airframes) if each.digest == scenario.airframe.digest), None)
     follower = Follower(library, config, seed=seed, progress=progress)
     half = config.region.threshold_m

@@ -15,11 +15,11 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Int
 
 from august_jax import streams
 from august_jax.config import Config
 from august_jax.inference import Library, Posterior, Prior, find_craft
+from august_jax.inference.hypotheses import evenly_drawn
 from august_jax.progress import Progress, silent
 from august_jax.scene.cloud import WorldCloud
 from august_jax.scene.pose import transform
@@ -72,7 +72,7 @@ def said(key: jax.Array, posterior: Posterior, library: Library, points: int) ->
         points: of the cloud.
     """
     cloud_key, sample_key = jax.random.split(key)
-    chosen = _evenly_drawn(sample_key, posterior, SAMPLES)
+    chosen = evenly_drawn(posterior.weights, SAMPLES, float(jax.random.uniform(sample_key)))
     error_m, normal_error = expected_errors(posterior)
     answer = Answer(
         position=posterior.mean_position,
@@ -205,13 +205,6 @@ def search_track(
         clouds = tuple(hypothesis_cloud(keys[2], posterior, library, number, points) for number in shown)
         found.append(Found(slot, posterior, answer, clouds))
     return Search(library.names, craft, tuple(found))
-
-
-def _evenly_drawn(key: jax.Array, posterior: Posterior, count: int) -> Int[np.ndarray, "{count}"]:
-    """Rows of the posterior's samples, as often as their weights say: systematic resampling, whose error is small."""
-    reached = np.cumsum(np.asarray(posterior.weights, np.float64))
-    marks = (np.arange(count) + float(jax.random.uniform(key))) / count
-    return np.minimum(np.searchsorted(reached, marks * reached[-1]), len(reached) - 1)
 
 
 MATCHED_FIELD = Scheme("matched_field", "a search through the simulator", _prepare, hears=True, slow=True)

@@ -8,16 +8,13 @@ from typing import Any
 
 from august_jax.app.cli.common import chosen_weights
 from august_jax.app.cli.messages import command_line, note, options
-from august_jax.app.cli.parser import Command, number, whole
+from august_jax.app.cli.parser import Command, seed_and_snr, whole
 from august_jax.app.cli.sensing import search_arguments, sensed
 from august_jax.config import bounds
 
 
 def _arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--seed", type=whole(), default=0, metavar="N", help="of flight, material, noise (default 0)")
-    parser.add_argument(
-        "--snr", type=number("signal.snr_db"), default=20.0, metavar="DB", help="SNR of the echo [dB] (default 20)"
-    )
+    seed_and_snr(parser, "flight, material, noise")
     most = int(bounds("flight.slots").high)
     parser.add_argument(
         "--slots", type=whole(1, most), default=12, metavar="N", help="length of the flight (default 12)"

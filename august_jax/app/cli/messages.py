@@ -172,7 +172,7 @@ def scheme_table(rows: Sequence[dict[str, Any]], *, snr: bool) -> str:
     return table(
         [
             ["scheme", *(title for title, _, _ in columns)],
-            *([row["scheme"], *(_cell(row[name], digits) for _, name, digits in columns)] for row in rows),
+            *([row["scheme"], *(cell(row[name], digits) for _, name, digits in columns)] for row in rows),
         ]
     )
 
@@ -190,7 +190,7 @@ def search_table(rows: Sequence[dict[str, Any]]) -> str:
         ("s/slot", "seconds", 1),
     ]
     told = [
-        [row["scheme"], *(_cell(row[name], digits) for _, name, digits in columns)]
+        [row["scheme"], *(cell(row[name], digits) for _, name, digits in columns)]
         for row in rows
         if row["explained"] is not None
     ]
@@ -212,7 +212,7 @@ def expected_table(rows: Sequence[dict[str, Any]], thresholds: Sequence[dict[str
         ("bound", "own_bound_mde", 4),
     ]
     told = [
-        [row["scheme"], *(_cell(row[name], digits) for _, name, digits in columns)]
+        [row["scheme"], *(cell(row[name], digits) for _, name, digits in columns)]
         for row in rows
         if row["expected_mpe_m"] is not None
     ]
@@ -224,5 +224,5 @@ def expected_table(rows: Sequence[dict[str, Any]], thresholds: Sequence[dict[str
     return "\n".join([table([["scheme", *(title for title, _, _ in columns)], *told]), *parted]) if told else ""
 
 
-def _cell(value: float | None, digits: int) -> str:
+def cell(value: float | None, digits: int) -> str:
     return "-" if value is None else f"{value:.{digits}f}"

@@ -197,6 +197,14 @@ def whole(low: int = 0, high: int = 2**31 - 1) -> Callable[[str], int]:
     return read
 
 
+def seed_and_snr(parser: argparse.ArgumentParser, drawn: str) -> None:
+    """``--seed``, of what is ``drawn``, and ``--snr``, of the echo."""
+    parser.add_argument("--seed", type=whole(), default=0, metavar="N", help=f"of {drawn} (default 0)")
+    parser.add_argument(
+        "--snr", type=number("signal.snr_db"), default=20.0, metavar="DB", help="SNR of the echo [dB] (default 20)"
+    )
+
+
 def part(text: str) -> tuple[int, int]:
     """An argparse type: ``i/n`` with 1 <= i <= n."""
     found = re.fullmatch(r"([0-9]{1,9})/([0-9]{1,9})", text)

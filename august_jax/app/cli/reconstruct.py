@@ -9,7 +9,7 @@ from typing import Any
 
 from august_jax.app.cli.common import chosen_weights, sha256_of
 from august_jax.app.cli.messages import command_line, note, options
-from august_jax.app.cli.parser import ANGLE, Command, number, numbers, whole
+from august_jax.app.cli.parser import ANGLE, Command, number, numbers, seed_and_snr
 from august_jax.app.cli.sensing import search_arguments, sensed
 
 
@@ -43,10 +43,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--conductivity", type=number("target.conductivity_s_m"), metavar="S", help="[S/m] (default: mid-range)"
     )
-    parser.add_argument(
-        "--snr", type=number("signal.snr_db"), default=20.0, metavar="DB", help="SNR of the echo [dB] (default 20)"
-    )
-    parser.add_argument("--seed", type=whole(), default=0, metavar="N", help="of prediction and noise (default 0)")
+    seed_and_snr(parser, "prediction and noise")
     parser.add_argument("--run", metavar="RUN", help="weights of your own training run (default: the shipped ones)")
     search_arguments(parser, search=0, known=None)
 

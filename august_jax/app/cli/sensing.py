@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import argparse
-import json
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from august_jax import config as configuration
 from august_jax.app.cli.common import folder
-from august_jax.app.cli.messages import command_line, note, say, scheme_table
+from august_jax.app.cli.messages import command_line, note
 from august_jax.app.cli.parser import whole
+from august_jax.app.cli.results import array_told, leave
 from august_jax.config import Config
 
 if TYPE_CHECKING:
@@ -64,12 +65,9 @@ def sensed(
         craft: where the craft came from and how it was turned, kept with the numbers; None for a flight that was drawn.
     """
     from august_jax import evaluation, pipeline
-    from august_jax.app import plotting, report
-    from august_jax.app.export import write_ply, write_record
-    from august_jax.files import write_text
+    from august_jax.app import plotting
 
-    command = args.command
-    out = folder(args, f"august_{command}", configured=True)
+    out = folder(args, f"august_{args.command}", configured=True)
     following = [
         *following,
         (
@@ -101,11 +99,7 @@ def sensed(
     title = f"{shot.airframe.name} at {args.snr:g} dB, seen by {config.array.count} antennas"
     setup = [
         ("weights", networks.name),
-        (
-            "array",
-            f"{config.array.nx} x {config.array.nz} at "
-            f"{', '.join(f'{tone / 1e9:g}' for tone in config.array.frequencies_hz)} GHz",
-        ),
+        ("array", array_told(config)),
         ("drone", f"{shot.airframe.name}, half-wheelbase {shot.airframe.half_wheelbase_m:.3f} m"),
         *([("mesh", f"{args.mesh}: {shot.airframe.source}")] if shot.airframe.source else []),
         ("material", f"permittivity {track.permittivity:.2f}, conductivity {1e3 * track.conductivity:.2f} mS/m"),
@@ -117,49 +111,27 @@ def sensed(
         ("command", command_line(*args.words)),
         ("computed in", f"{seconds:.0f} s"),
     ]
-    metrics = {
-        "command": command,
-        "command_line": command_line(*args.words),
-        "snr_db": args.snr,
-        "seed": args.seed,
-        "seconds": round(seconds, 1),
-        "weights": networks.name,
-        "airframe": shot.airframe.name,
-        **({"craft": dict(craft)} if craft else {}),
-        **scores,
-    }
-    write_record(out / "clouds.npz", track.record())
-    write_ply(out / "cloud.ply", track.points[-1], track.point_permittivity[-1], track.point_conductivity[-1])
-    write_text(out / "metrics.json", json.dumps(metrics, indent=1, allow_nan=False))
-    write_text(out / "config.yaml", configuration.to_yaml(config))
-    plotting.clouds(
-        track,
-        out / f"{command}.png",
-        permittivity=config.target.permittivity,
-        title=title,
-        found={} if search is None else {each.slot: _shown(each, search.names) for each in search.found},
-    )
-    report.write_report(
-        out / "report.html",
+    return leave(
+        args,
+        out,
+        config,
         track,
         scores,
+        made={"weights": networks.name, "airframe": shot.airframe.name, **({"craft": dict(craft)} if craft else {})},
+        seconds=seconds,
         title=title,
         lead=lead,
-        note=evaluation.NOTE,
         setup=setup,
         following=following,
-        hypotheses={} if search is None else {found.slot: found.clouds for found in search.found},
-        permittivity=config.target.permittivity,
-        conductivity=config.target.conductivity_s_m,
+        draw=partial(
+            plotting.clouds,
+            track,
+            permittivity=config.target.permittivity,
+            title=title,
+            found={} if search is None else {each.slot: _shown(each, search.names) for each in search.found},
+        ),
+        hypotheses={} if search is None else {each.slot: each.clouds for each in search.found},
     )
-    files = ["report.html", f"{command}.png", "cloud.ply", "metrics.json", "config.yaml", "clouds.npz"]
-    say(args, f"\n{title}\n{lead}\n")
-    say(args, scheme_table(scores["schemes"], snr=False))
-    say(args, f"\nwritten in {seconds:.0f} s to {out}/: {', '.join(files)}")
-    say(args, f"look:  {(out / 'report.html').resolve().as_uri()}")
-    for line, why in following[:2]:
-        say(args, f"next:  {line}   # {why}")
-    return {"out": str(out), "files": files, **metrics}
 
 
 def _shown(found: Found, names: Sequence[str]) -> Shown:

@@ -1,0 +1,104 @@
+"""What ``august demo``, ``reconstruct`` and ``track`` leave of a flight: report, picture, clouds, numbers, lines."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from august_jax import config as configuration
+from august_jax.app.cli.messages import command_line, say, scheme_table
+from august_jax.config import Config
+
+if TYPE_CHECKING:
+    from august_jax.scene import WorldCloud
+    from august_jax.tracking import Track
+
+
+def array_told(config: Config) -> str:
+    """The antennas in words."""
+    tones = ", ".join(f"{tone / 1e9:g}" for tone in config.array.frequencies_hz)
+    return f"{config.array.nx} x {config.array.nz} at {tones} GHz"
+
+
+def leave(
+    args: argparse.Namespace,
+    out: Path,
+    config: Config,
+    track: Track,
+    scores: Mapping[str, Any],
+    *,
+    made: Mapping[str, Any],
+    seconds: float,
+    title: str,
+    lead: str,
+    setup: Sequence[tuple[str, str]],
+    following: Sequence[tuple[str, str]],
+    draw: Callable[[Path], None],
+    hypotheses: Mapping[int, Sequence[WorldCloud]],
+    scheme: tuple[str, str] = ("august", "AUGUST"),
+    first: str = "",
+) -> dict[str, Any]:
+    """Write a flight's results, say what they are and what to run next, and return the numbers.
+
+    Args:
+        args: of the command.
+        out: where to write.
+        config: that the flight was sensed with.
+        track: what was true and what was found.
+        scores: of the track.
+        made: how it was made, kept with the numbers.
+        seconds: that it took [s].
+        title, lead: heading of report and picture, and the sentence below it.
+        setup: pairs of name and value for the report.
+        following: pairs of a command line to try next and what it does.
+        draw: draws the picture into a file.
+        hypotheses: slot -> surfaces of its hypotheses, for the report.
+        scheme: name of the one that made the clouds, and what it is called in charts.
+        first: a table to be said before that of the schemes.
+    """
+    from august_jax import evaluation
+    from august_jax.app import report
+    from august_jax.app.export import write_ply, write_record
+    from august_jax.files import write_text
+
+    metrics = {
+        "command": args.command,
+        "command_line": command_line(*args.words),
+        "snr_db": args.snr,
+        "seed": args.seed,
+        "seconds": round(seconds, 1),
+        **made,
+        **scores,
+    }
+    write_record(out / "clouds.npz", track.record())
+    write_ply(out / "cloud.ply", track.points[-1], track.point_permittivity[-1], track.point_conductivity[-1])
+    write_text(out / "metrics.json", json.dumps(metrics, indent=1, allow_nan=False))
+    write_text(out / "config.yaml", configuration.to_yaml(config))
+    draw(out / f"{args.command}.png")
+    report.write_report(
+        out / "report.html",
+        track,
+        scores,
+        title=title,
+        lead=lead,
+        note=evaluation.NOTE,
+        setup=setup,
+        following=following,
+        scheme=scheme,
+        hypotheses=hypotheses,
+        permittivity=config.target.permittivity,
+        conductivity=config.target.conductivity_s_m,
+    )
+    files = ["report.html", f"{args.command}.png", "cloud.ply", "metrics.json", "config.yaml", "clouds.npz"]
+    say(args, f"\n{title}\n{lead}\n")
+    if first:
+        say(args, f"{first}\n")
+    say(args, scheme_table(scores["schemes"], snr=False))
+    say(args, f"\nwritten in {seconds:.0f} s to {out}/: {', '.join(files)}")
+    say(args, f"look:  {(out / 'report.html').resolve().as_uri()}")
+    for line, why in following[:2]:
+        say(args, f"next:  {line}   # {why}")
+    return {"out": str(out), "files": files, **metrics}
