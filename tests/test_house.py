@@ -26,7 +26,7 @@ ALLOWED = {
     "models": BASE | {"signal.roi"},
     "tracking": BASE | {"signal"},
     "training": BASE | {"models", "data"},
-    "schemes": BASE | {"inference", "models", "tracking", "signal", "scene"},
+    "schemes": BASE | {"inference", "models", "tracking", "signal", "scene", "physics"},
     "evaluation": BASE | {"schemes", "inference", "data", "tracking", "models", "physics", "signal", "scene"},
     "pipeline": BASE | {"schemes", "data", "tracking", "models", "signal", "scene", "training.checkpoint"},
 }

@@ -28,6 +28,8 @@ MODEL, TRUTH, BASE = "#0a6ebd", "#3a4652", "#c8641b"
 STYLES: dict[str, dict[str, Any]] = {
     "august": {"color": MODEL, "marker": "o", "lw": 2.0, "ms": 5},
     "matched_field": {"color": "#6a3fb5", "marker": "D", "lw": 2.0, "ms": 4},
+    "polar": {"color": "#1c8a8a", "marker": "^", "ms": 4, "lw": 1.2},
+    "polar_angles": {"color": "#1c8a8a", "marker": "v", "ms": 4, "lw": 1.2, "ls": "--"},
     "prediction": {"color": BASE, "ls": "--"},
     "up": {"color": "#a63d7b", "ls": "--"},
     "mean_shape": {"color": "#8a6d1d", "ls": "--"},

@@ -8,9 +8,11 @@ from august_jax.schemes.baselines import MEAN_SHAPE, PREDICTION, RESAMPLING, UP,
 from august_jax.schemes.followed import Flown, follow_flight
 from august_jax.schemes.matched_field import MATCHED_FIELD
 from august_jax.schemes.networks import AUGUST
+from august_jax.schemes.polar import POLAR, POLAR_ANGLES
 
 SCHEMES: dict[str, Scheme] = {
-    scheme.name: scheme for scheme in (AUGUST, MATCHED_FIELD, PREDICTION, UP, MEAN_SHAPE, RESAMPLING)
+    scheme.name: scheme
+    for scheme in (AUGUST, MATCHED_FIELD, POLAR, POLAR_ANGLES, PREDICTION, UP, MEAN_SHAPE, RESAMPLING)
 }
 """The schemes by name."""
 

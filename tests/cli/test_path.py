@@ -21,6 +21,7 @@ from august_jax.app import cli
 from august_jax.app.cli.parser import parse
 from august_jax.data import Dataset, channels_along, unpack
 from august_jax.scene import procedural_airframe, resolve_airframe
+from august_jax.schemes import SCHEMES
 
 SMALL = [
     "target.airframes=[quad_x]",
@@ -135,14 +136,13 @@ def test_evaluate_rows(capsys, home, monkeypatch, unchecked):
         "evaluate.searched=2",
     )
     rows = {row["scheme"]: row for row in result["rows"]}
-    assert list(rows) == ["august", "matched_field", "prediction", "up", "mean_shape", "resampling"]
+    assert list(rows) == list(SCHEMES)
     defined = {
         scheme: {name for name in ("mpe_m", "mde", "wd_db", "mcd_db") if row[name] is not None}
         for scheme, row in rows.items()
     }
-    assert (
-        defined["prediction"] == {"mpe_m"} and defined["up"] == {"mde"} and defined["mean_shape"] == {"wd_db", "mcd_db"}
-    )
+    assert defined["prediction"] == defined["polar"] == defined["polar_angles"] == {"mpe_m"}
+    assert defined["up"] == {"mde"} and defined["mean_shape"] == {"wd_db", "mcd_db"}
     assert len(defined["august"]) == len(defined["matched_field"]) == len(defined["resampling"]) == 4
     for name, row in rows.items():
         assert (row["snr_db"], row["count"]) == (20.0, 2 if name == "matched_field" else 4)
