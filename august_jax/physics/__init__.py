@@ -6,6 +6,7 @@ from august_jax.physics.body.table import Table, stack_tables, table_channel
 from august_jax.physics.body.tabulate import tabulate, tabulate_bodies
 from august_jax.physics.cells import Cells
 from august_jax.physics.channel import SOLVERS, sensing_channel, sensing_channels
+from august_jax.physics.environment import Plane, environment_channel, environment_sensing_channel, fresnel, mirrored
 from august_jax.physics.green import coupling_matrix, dipole_fields, dyadic_green, path_difference
 from august_jax.physics.information import (
     Spread,
@@ -30,6 +31,7 @@ __all__ = [
     "KrylovSolution",
     "Parameters",
     "PlanarArray",
+    "Plane",
     "Solution",
     "Spread",
     "Table",
@@ -40,12 +42,16 @@ __all__ = [
     "coupling_matrix",
     "dipole_fields",
     "dyadic_green",
+    "environment_channel",
+    "environment_sensing_channel",
     "factor_bodies",
     "factor_body",
     "fisher_information",
+    "fresnel",
     "interaction_matrix",
     "judge_contrast",
     "mean_position_error",
+    "mirrored",
     "moved",
     "parameter_channel",
     "path_difference",

@@ -16,6 +16,7 @@ no information that an estimator could use, although F counts it. The unknown ga
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
@@ -27,6 +28,7 @@ from august_jax.arrays import Array, ArrayLike
 from august_jax.physics.array import AntennaArray, PlanarArray, wavenumber
 from august_jax.physics.body import Body
 from august_jax.physics.checks import check_finite, check_nearest, check_rotation, is_concrete
+from august_jax.physics.environment import Plane, check_before
 from august_jax.physics.parameters import PARAMETERS, Parameters, parameter_channel
 
 
@@ -81,6 +83,7 @@ def fisher_information(
     *,
     illumination: Array | None = None,
     receiver: PlanarArray | AntennaArray | None = None,
+    planes: Sequence[Plane] = (),
 ) -> Float[np.ndarray, "*poses 10 10"]:
     """Fisher information of one pose, or of a batch.
 
@@ -94,16 +97,19 @@ def fisher_information(
         illumination: Q (..., N_b, N_b), proportional to X X^H; None lights all directions alike.
         receiver: the antennas that receive, where they are not those that transmit. What several receivers know adds
             up, once each one's own gain is marginalised: :func:`without_gain`.
+        planes: ground and walls (:class:`august_jax.physics.Plane`) that the estimator knows.
 
     Returns:
         (..., 10, 10) float64, in the order of ``PARAMETERS``.
 
     Raises:
         ValueError: numbers that are not finite, a matrix that is no rotation, a body of air (its echo is zero), a body
-            nearer than ``body.nearest_m`` to an antenna, an SNR that is not positive, or ends that
-            :func:`august_jax.physics.body_channel` refuses.
+            nearer than ``body.nearest_m`` to an antenna, an SNR that is not positive, or ends or planes that
+            :func:`august_jax.physics.environment_channel` refuses.
     """
     _check(body, array, receiver, rotation, position, permittivity, conductivity, snr)
+    planes = tuple(planes)
+    check_before(planes, (array, receiver), position, body.radius_m, "position")
     batch = np.shape(position)[:-1]
     lit = jnp.eye(array.count) if illumination is None else jnp.asarray(illumination)
     parts = (
@@ -113,7 +119,7 @@ def fisher_information(
         jnp.broadcast_to(jnp.asarray(conductivity, jnp.float32), batch).reshape(-1),
         jnp.broadcast_to(lit.astype(jnp.complex64), (*batch, array.count, array.count)).reshape(-1, *lit.shape[-2:]),
     )
-    gram, energy = (np.asarray(value, np.float64) for value in _gram(body, array, receiver, *parts))
+    gram, energy = (np.asarray(value, np.float64) for value in _gram(body, array, receiver, planes, *parts))
     noise_samples = array.count * (receiver or array).count * len(body.frequencies_hz)
     information = 2.0 * np.reshape(snr, (-1, 1, 1)) * noise_samples * gram / energy[:, None, None]
     # The range's absolute phase, left out of the derivatives for the sake of their digits, comes back here exactly.
@@ -241,7 +247,7 @@ def _toward(array, place):
     return offset / module.sqrt(module.sum(offset**2, axis=-1, keepdims=True))
 
 
-def _slopes(body, array, receiver, rotation, position, permittivity, conductivity):
+def _slopes(body, array, receiver, rotation, position, permittivity, conductivity, planes=()):
     """H (F, N_r, N_b) and its derivatives (F, N_r, N_b, 10) at one pose, over H's largest entry.
 
     The common phase of the two ways there and back is taken out of the derivatives in position.
@@ -252,7 +258,7 @@ def _slopes(body, array, receiver, rotation, position, permittivity, conductivit
 
     def channel(theta):
         h = parameter_channel(
-            body, array, Parameters.split(theta), rotation, position, permittivity, conductivity, receiver
+            body, array, Parameters.split(theta), rotation, position, permittivity, conductivity, receiver, planes
         )
         farther = theta[:3] @ outward  # of both ways, to first order, all that a derivative sees
         return h * jnp.exp(-1j * middle * farther)
@@ -265,11 +271,11 @@ def _slopes(body, array, receiver, rotation, position, permittivity, conductivit
 
 
 @jax.jit
-def _gram(body, array, receiver, rotation, position, permittivity, conductivity, illumination):
+def _gram(body, array, receiver, planes, rotation, position, permittivity, conductivity, illumination):
     """Re tr(d_a H Q d_b H^H) (B, 10, 10) and tr(H Q H^H) (B,), with the common phase of the way taken out of H."""
 
     def one(turn, place, epsilon, sigma, lit):
-        value, slopes = _slopes(body, array, receiver, turn, place, epsilon, sigma)
+        value, slopes = _slopes(body, array, receiver, turn, place, epsilon, sigma, planes)
         lit_slopes = jnp.einsum("fmnp,nk->fmkp", slopes, lit)
         gram = jnp.real(jnp.einsum("fmkp,fmkq->pq", lit_slopes, slopes.conj()))
         energy = jnp.real(jnp.sum(jnp.einsum("fmn,nk->fmk", value, lit) * value.conj()))

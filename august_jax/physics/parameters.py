@@ -10,6 +10,7 @@ and conductivity [S/m], and log-amplitude and phase [rad] of a complex gain. Wit
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
@@ -18,7 +19,8 @@ from jaxtyping import Complex, Float, Real
 
 from august_jax.arrays import Array, ArrayLike
 from august_jax.physics.array import AntennaArray, PlanarArray
-from august_jax.physics.body import Body, body_channel
+from august_jax.physics.body import Body
+from august_jax.physics.environment import Plane, environment_channel
 from august_jax.physics.green import inner
 from august_jax.physics.materials import contrast
 
@@ -90,6 +92,7 @@ def parameter_channel(
     permittivity: ArrayLike,
     conductivity: ArrayLike,
     receiver: PlanarArray | AntennaArray | None = None,
+    planes: Sequence[Plane] = (),
 ) -> Complex[jax.Array, "tones receive transmit"]:
     """Channel of a factored body theta away from a pose and a material, at each of its tones.
 
@@ -100,15 +103,17 @@ def parameter_channel(
         rotation, position: body axes to world axes (3, 3), and the body's origin (3,) [m].
         permittivity, conductivity: of the body, [1] and [S/m].
         receiver: the antennas that receive, where they are not those that transmit.
+        planes: ground and walls, known ones, of which each reflects once.
 
     Returns:
         H (F, N_r, N_b) complex64; differentiable in theta.
 
     Raises:
-        ValueError: as :func:`august_jax.physics.body_channel`.
+        ValueError: as :func:`august_jax.physics.environment_channel`.
     """
     tones = jnp.asarray(body.frequencies_hz, jnp.float32)
     chi = contrast(permittivity + theta.permittivity, conductivity + theta.conductivity, tones).astype(jnp.complex64)
     turned, place = moved(theta, rotation, position)
-    channel = body_channel(body, array, turned, place, chi[0] if body.single else chi, receiver=receiver)
+    material = chi[0] if body.single else chi
+    channel = environment_channel(body, array, turned, place, material, planes, receiver=receiver)
     return channel.reshape(len(body.frequencies_hz), *channel.shape[-2:]) * jnp.exp(theta.log_gain + 1j * theta.phase)
