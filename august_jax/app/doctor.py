@@ -132,13 +132,16 @@ def _physics() -> tuple[bool, str]:
 
 
 def _cache() -> tuple[bool, str]:
+    import jax
+
     from august_jax.physics import cache_folder
 
     place = cache_folder()
     place.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryFile(dir=place):
         pass
-    return True, f"{place} can be written"
+    compiled = jax.config.jax_compilation_cache_dir  # type: ignore[attr-defined]
+    return True, f"{place} can be written; compiled programs: {compiled or 'not kept'}"
 
 
 def _disk(out: Path) -> tuple[bool, str]:

@@ -74,7 +74,18 @@ _PATIENT = _Plan(
         _Stage(128, 6, 60.0),
     ),
 )
-_PLANS = (_QUICK, _PATIENT)
+# A weak echo has wide valleys and many of them: fewer candidates meet them all, and each is to be walked further down.
+_WEAK = _Plan(
+    12_000,
+    (
+        _Stage(4000, 2, 18.0),
+        _Stage(2000, 2, 20.0),
+        _Stage(800, 3, 24.0),
+        _Stage(256, 4, 34.0),
+        _Stage(128, 6, 60.0),
+    ),
+)
+_WEAK_SNR_DB = 6.0
 _DOUBTED = 0.05
 """Where noise alone leaves as much less often than this, the search is made again with more patience."""
 _MODES = 12
@@ -119,7 +130,7 @@ def find_craft(
     exact = _beyond_the_table(library, statistics)
     met: list[Candidates] = []
     modes: Candidates | None = None
-    for plan in _PLANS:
+    for plan in (_WEAK if snr_db < _WEAK_SNR_DB else _QUICK, _PATIENT):
         if proposals is None:
             found = _looked(library, statistics, prior, snr_db, plan, met, clock)
         else:

@@ -286,8 +286,11 @@ def _log_densities(middle, inverse, height, crafts, centre, prior, poses):
         axis=-1,
     )
     square = jnp.sum(jnp.einsum("nij,mnj->mni", inverse, apart) ** 2, axis=-1)
+    # A sample is no measure of the part that was laid about it: it sits at that part's peak, which would take from its
+    # weight what nobody else gains, most of all where few samples lie.
+    own = jnp.all(poses.position[:, None] == middle.position, axis=-1)
     density = height - 0.5 * (_DEGREES + _SIZE) * jnp.log1p(square / _DEGREES)
-    density = jnp.where(poses.craft[:, None] == middle.craft, density, -1e9)
+    density = jnp.where((poses.craft[:, None] == middle.craft) & ~own, density, -1e9)
     bins, lowest = prior.tilt_density.shape[0], jnp.cos(prior.tilt_rad)
     row = jnp.floor((1.0 - poses.rotation[:, 2, 2]) / (1.0 - lowest) * bins).astype(jnp.int32)
     widths = jnp.stack([prior.permittivity[1] - prior.permittivity[0], prior.conductivity[1] - prior.conductivity[0]])
