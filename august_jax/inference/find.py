@@ -77,13 +77,7 @@ _PATIENT = _Plan(
 # A weak echo has wide valleys and many of them: fewer candidates meet them all, and each is to be walked further down.
 _WEAK = _Plan(
     12_000,
-    (
-        _Stage(4000, 2, 18.0),
-        _Stage(2000, 2, 20.0),
-        _Stage(800, 3, 24.0),
-        _Stage(256, 4, 34.0),
-        _Stage(128, 6, 60.0),
-    ),
+    (_Stage(4000, 2, 18.0), _Stage(2000, 2, 20.0), _Stage(800, 3, 24.0), _Stage(256, 4, 34.0), _Stage(128, 6, 60.0)),
 )
 _WEAK_SNR_DB = 6.0
 _DOUBTED = 0.05
