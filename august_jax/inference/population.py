@@ -8,7 +8,10 @@ samples weigh
 the complex gain integrated out (:func:`log_mean_likelihood`). The next mixture has its parts about samples that weigh
 much, each as wide as the echo's information there leaves it, and so on; at the end all samples are weighed together, q
 being the mean of all rounds' mixtures, so that what one round met by luck another round's parts account for (the
-balance heuristic of Veach and Guibas, 1995; adaptive multiple importance sampling, Cornuet et al., 2012).
+balance heuristic of Veach and Guibas, 1995; adaptive multiple importance sampling, Cornuet et al., 2012). A later
+mixture is not independent of the earlier samples, its parts lie about them: the part about a sample is left out of that
+sample's own q, without which the evidence of an echo of 0 dB came out too small by a quarter to a half. Parts about its
+descendants stay, which costs 2 % of the evidence in two rounds and 11 % in six.
 """
 
 from __future__ import annotations
