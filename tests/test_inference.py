@@ -11,8 +11,7 @@ from echoes import echo_of, truth_of
 
 from august_jax.config import preset
 from august_jax.data import generate, prepare_targets
-from august_jax.inference import Prior, find_craft, known_craft, refined
-from august_jax.inference import population
+from august_jax.inference import Prior, find_craft, known_craft, population, refined
 from august_jax.inference.population import Poses, log_mean_likelihood, mixture, populate
 from august_jax.inference.prior import TILT_BINS
 from august_jax.inference.refine import begin, cost, improved, polished

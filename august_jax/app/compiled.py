@@ -13,6 +13,7 @@ import os
 import platform
 import sys
 from pathlib import Path
+from typing import Any
 
 from august_jax.physics import cache_folder
 
@@ -52,7 +53,8 @@ def keep_compiled() -> Path | None:
     """
     import jax
 
-    if jax.config.jax_compilation_cache_dir or not jax.config.jax_enable_compilation_cache:
+    settings: Any = jax.config  # its attributes come to be when JAX is imported
+    if settings.jax_compilation_cache_dir or not settings.jax_enable_compilation_cache:
         return None
     import jaxlib
 
