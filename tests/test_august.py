@@ -10,7 +10,7 @@ from jax.flatten_util import ravel_pytree
 
 from august_jax.config import preset
 from august_jax.models import Seen, create, parameter_count, reconstruct
-from august_jax.models.refchannel import RefChannel, reference_centre
+from august_jax.models.refchannel import RefChannel
 
 SMOKE = preset("smoke")
 BATCH, POINTS = 4, 12
@@ -200,7 +200,7 @@ def test_the_reference_channel_is_centred_on_the_box():
     """At the reference place itself the target's own channel is the reference: the loss compares like with like."""
     settings = config("refchannel")
     model, data = RefChannel(settings, rngs=nnx.Rngs(0)), batch()
-    centre = np.broadcast_to(reference_centre(settings), (BATCH, 3)).astype(np.float32)
+    centre = np.broadcast_to(settings.flight.centre_m, (BATCH, 3)).astype(np.float32)
     np.testing.assert_allclose(centre[0], [5.0, 6.0, 3.5])
     vector = model.vector(data["heard"], centre)
     np.testing.assert_allclose(np.linalg.norm(vector, axis=-1), 1.0, rtol=1e-5)

@@ -193,7 +193,6 @@ def test_training_takes_from_the_data_what_they_are_made_of():
         ("huge", [], "preset: unknown preset 'huge'"),
         (None, ["array.nx=8"], "array.nx: 8, but D was made with 4"),
         (None, ["data.seed=4"], "data.seed: 4, but D was made with 3"),
-        (None, ["model.scheme=refchannel"], "model.scheme: refchannel learns from reference channels"),
     ],
 )
 def test_training_is_refused_what_the_data_are_not(name, assignments, message):

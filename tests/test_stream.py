@@ -12,6 +12,7 @@ from august_jax import data
 from august_jax.config import ConfigError, override, preset
 from august_jax.data import stream
 from august_jax.data.observe import observed_anew
+from august_jax.data.reference import heard_by_table
 from august_jax.evaluation import validator
 from august_jax.models import create
 from august_jax.physics import stack_tables
@@ -80,9 +81,7 @@ def test_coefficients_are_those_of_the_channel(targets, batches):
         one = samples.at(row)
         centre = jnp.asarray(one.position) + 0.3
         material = jnp.asarray([one.permittivity, one.conductivity])
-        values = stream._heard_of(
-            CONFIG, tables, jnp.asarray(one.airframe), one.rotation, one.position, material, centre
-        )
+        values = heard_by_table(CONFIG, tables, jnp.asarray(one.airframe), one.rotation, one.position, material, centre)
         channel = data.unpack(jnp.asarray(one.true_channel))
         wanted = roi.project(channel, centre, subspace)
         np.testing.assert_allclose(values, wanted.values, atol=1e-5 * np.abs(wanted.values).max())
@@ -182,7 +181,6 @@ def test_validation_has_samples_of_its_own(monkeypatch):
     [
         (["train.reobserve=false", "data.observed=true"], "train.source: stream is observed as it is made"),
         (["data.solver=born"], "data.solver: born is not what a stream's tables hold"),
-        (["model.scheme=refchannel"], "train.source: stream holds no reference channels"),
     ],
 )
 def test_what_a_stream_cannot_be(assignments, message):

@@ -28,7 +28,7 @@ Draw = Literal["snr", "power"]
 Solver = Literal["mom", "table", "krylov", "local_field_born", "born"]
 """Of the scattered field."""
 NetworkScheme = Literal["august", "noebd", "nolatent", "refchannel"]
-"""Networks: the whole, without embeddings, without the latent code, with reference channels."""
+"""Networks: the whole, without embeddings, without the latent code, with channels carried to a reference place."""
 Encoder = Literal["paper", "roi"]
 """Of the channel: a linear map of vec(H), or the field subspace of the region of interest."""
 TimeEmbedding = Literal["paper", "log_snr"]
@@ -132,6 +132,12 @@ class FlightConfig(Section):
     """Time from one slot to the next [s]."""
     tilt_deg: Annotated[float, within(0.01, 89.0, "degrees")] = 30.0
     """Largest tilt of the thrust axis [deg]."""
+
+    @property
+    def centre_m(self) -> tuple[float, float, float]:
+        """Middle of the box [m]: q_ref, where the scheme ``refchannel`` refers channels to."""
+        (west, east), (south, north), (low, high) = self.box_m
+        return 0.5 * (west + east), 0.5 * (south + north), 0.5 * (low + high)
 
 
 @dataclass(frozen=True)

@@ -100,12 +100,6 @@ def check_ties(config: Config) -> None:
             "is not what a stream's tables hold; set data.solver=mom or table, or train.source=stored",
         ),
         (
-            train.source == "stored" or config.model.scheme != "refchannel",
-            "train.source",
-            train.source,
-            "holds no reference channels, which model.scheme=refchannel learns from; choose august, noebd or nolatent",
-        ),
-        (
             config.model.frame == "region" or train.weight_readout > 0.0,
             "model.frame",
             config.model.frame,
@@ -164,12 +158,14 @@ def check_data(config: Config, made: Config, data: Any = "the data") -> None:
         data: their folder, for messages.
 
     Raises:
-        ConfigError: the scheme needs what no data hold, or a field that the data depend on has another value.
+        ConfigError: the data's solver is none that the scheme can learn with, or a field that the data depend on has
+            another value.
     """
-    if config.model.scheme == "refchannel":
+    if config.model.scheme == "refchannel" and config.data.dense_solver != "mom":
         raise ConfigError(
-            "model.scheme: refchannel learns from reference channels, which the data do not hold\n"
-            "choose august, noebd or nolatent"
+            f"data.solver: {config.data.solver}, but model.scheme=refchannel learns from channels at a reference "
+            "place, which tables of bodies make\n"
+            "make other data with data.solver=mom or table, or choose another scheme"
         )
     fixed = [name for name in DATA_SECTIONS if not (config.train.reobserve and name in ("region", "signal"))]
     for path, has, wanted in differences(made, config, fixed):

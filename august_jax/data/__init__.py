@@ -4,6 +4,7 @@ from august_jax.data.dataset import SPLITS, Dataset, TrainingBatches
 from august_jax.data.fields import Batch, Observed, Sample, pack, unpack
 from august_jax.data.generate import generate, split_of
 from august_jax.data.observe import as_observed, batch_of, observed_anew
+from august_jax.data.reference import reference_channels
 from august_jax.data.shards import DataError, bytes_of, read_manifest, simulate
 from august_jax.data.simulator import (
     Target,
@@ -15,6 +16,7 @@ from august_jax.data.simulator import (
     nearest_distance,
     prepare_targets,
     simulated_channel,
+    tables_of,
     tabulate_targets,
 )
 from august_jax.data.stream import StreamedBatches, open_stream
@@ -44,9 +46,11 @@ __all__ = [
     "pack",
     "prepare_targets",
     "read_manifest",
+    "reference_channels",
     "simulate",
     "simulated_channel",
     "split_of",
+    "tables_of",
     "tabulate_targets",
     "unpack",
 ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal, get_args
 
@@ -14,7 +15,9 @@ from august_jax.config import Config, read
 from august_jax.data.fields import Batch, Observed, Sample
 from august_jax.data.generate import split_of
 from august_jax.data.observe import as_observed, batch_of
+from august_jax.data.reference import reference_channels
 from august_jax.data.shards import DataError, read_manifest, read_meta
+from august_jax.data.simulator import Target, tables_of
 
 Split = Literal["train", "validation", "test"]
 SPLITS: tuple[Split, ...] = get_args(Split)
@@ -101,13 +104,21 @@ class Dataset:
 class TrainingBatches:
     """Step number -> batch for the networks; a function of the step, the seed and the data alone.
 
+    Args:
+        dataset: what is stored.
+        config: of the training.
+        targets: for the scheme ``refchannel``, whose reference channels are made by table for every batch: with tables,
+            from :func:`~august_jax.data.simulator.prepare_targets` with ``data.solver=table``. Others need none.
+
     Raises:
         DataError: fewer training rows than a batch has.
-        ValueError: the samples were stored without what was made of them, and the configuration wants that.
+        ValueError: the samples were stored without what was made of them, and the configuration wants that; or the
+            scheme needs tables, and the targets have none that fit.
     """
 
-    def __init__(self, dataset: Dataset, config: Config):
+    def __init__(self, dataset: Dataset, config: Config, targets: Sequence[Target] = ()):
         self._dataset, self._config = dataset, config
+        self._tables = tables_of(config, targets) if config.model.scheme == "refchannel" else None
         self._places = dataset.rows("train")
         if len(self._places) < config.train.batch:
             raise DataError(
@@ -125,4 +136,12 @@ class TrainingBatches:
         order = np.random.default_rng(np.asarray(entropy)).permutation(len(self._places))
         chosen = np.sort(self._places[order[place * train.batch : (place + 1) * train.batch]])
         samples = self._dataset.read(chosen, observed=not train.reobserve)
-        return batch_of(streams.key(train.seed, "train.observation", step), samples, self._config)
+        batch = batch_of(streams.key(train.seed, "train.observation", step), samples, self._config)
+        if self._tables is None:
+            return batch
+        material = np.stack([samples.permittivity, samples.conductivity], axis=-1)
+        craft, config = samples.airframe, self._config
+        reference = reference_channels(
+            config, self._tables, craft, samples.rotation, samples.position, material, batch.predicted
+        )
+        return batch._replace(reference_channel=reference)

@@ -104,7 +104,7 @@ class Batch(NamedTuple):
         estimated_channel: H_est (B, F, N_b, N_b) complex64; None where ``coefficients`` stand for it.
         coefficients: of H_est about q_pre, values (B, F, K, K).
         reference_channel: what the scheme ``refchannel`` learns from: channels at the reference place, in the form of
-            what is heard.
+            what is heard; None for the others.
         statistics: all that the echoes say, for who searches for what explains them; None where nobody asked.
     """
 

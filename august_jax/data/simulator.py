@@ -30,6 +30,7 @@ from august_jax.physics import (
     factor_body,
     judge_contrast,
     sensing_channel,
+    stack_tables,
     table_channel,
     tabulate_bodies,
 )
@@ -238,6 +239,25 @@ def check_table(config: Config, table: Table) -> None:
             raise ValueError(
                 f"{path}: {value} is beyond the table, which holds {holds}; make it for this configuration"
             )
+
+
+def tables_of(config: Config, targets: Sequence[Target]) -> Table:
+    """The targets' tables in one stack, in their order.
+
+    Raises:
+        ValueError: targets without tables, fewer than craft, or tables that do not hold all that this configuration's
+            craft may be.
+    """
+    tables = [target.table for target in targets if target.table is not None]
+    if len(tables) != len(targets) or not tables:
+        raise ValueError("targets: they have no tables; prepare them with data.solver=table")
+    if len(tables) != len(config.target.airframes):
+        raise ValueError(
+            f"targets: got {len(tables)} for the {len(config.target.airframes)} of target.airframes; prepare them for "
+            "this configuration"
+        )
+    check_table(config, tables[0])
+    return stack_tables(tables)
 
 
 def lattice_of(airframe: Airframe, target: TargetConfig) -> tuple[Cells, float]:

@@ -4,7 +4,8 @@ Sample i of a step is one slot of a flight of its own, of the craft whose turn i
 as :func:`august_jax.data.generate.generate` draws a data set's rows, from streams of its own by the step's number. Its
 channel comes from the craft's table (:func:`august_jax.data.simulator.tabulate_targets`); where the base station works
 in the region's subspace, its coefficients U^H H conj(U) do, and H is never formed. The echo is observed at once
-(:mod:`august_jax.data.observe`).
+(:mod:`august_jax.data.observe`). The scheme ``refchannel`` gets its channels at the reference place the same way
+(:mod:`august_jax.data.reference`).
 
 A batch is a function of the configuration and the step alone, so that a continued run sees what it would have seen.
 """
@@ -18,7 +19,7 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Complex, Float, Int
+from jaxtyping import Float, Int
 
 from august_jax import streams
 from august_jax.arrays import Array
@@ -26,17 +27,16 @@ from august_jax.config import Config
 from august_jax.data.fields import Batch, Sample
 from august_jax.data.generate import generate
 from august_jax.data.observe import draw_level, draw_prediction
-from august_jax.data.simulator import Target, check_table, contrast_of, prepare_targets
-from august_jax.physics import PlanarArray, Table, stack_tables, table_channel
+from august_jax.data.reference import TOGETHER, heard_by_table, reference_channels
+from august_jax.data.simulator import Target, prepare_targets, tables_of
+from august_jax.physics import Table
 from august_jax.progress import Progress, silent
 from august_jax.scene.airframes import sample_triangles
 from august_jax.scene.cloud import to_cloud
 from august_jax.scene.trajectory import Flight, fly_many
-from august_jax.signal.roi import Coefficients, Subspace
+from august_jax.signal.roi import Coefficients
 from august_jax.signal.station import observe_for
 
-_TOGETHER = 128
-"""Channels of more samples at once no longer fit a processor's caches."""
 _VALIDATED = 256
 """Samples that a streamed training is validated on."""
 
@@ -53,12 +53,8 @@ class StreamedBatches:
     """
 
     def __init__(self, config: Config, targets: Sequence[Target]):
-        tables = [target.table for target in targets if target.table is not None]
-        if len(tables) != len(targets) or not tables:
-            raise ValueError("targets: they have no tables; prepare them with data.solver=table")
-        check_table(config, tables[0])
         self._config = config
-        self._tables = stack_tables(tables)
+        self._tables = tables_of(config, targets)
         self._surfaces = tuple(jnp.asarray(np.stack(part)) for part in zip(*(target.surface for target in targets)))
 
     @streams.pin  # whoever calls, from whatever thread
@@ -119,9 +115,9 @@ def _streamed(
 
     def channel(place):
         craft, rotation, position, material, predicted = place
-        return _heard_of(config, tables, craft, rotation, position, material, predicted if in_subspace else None)
+        return heard_by_table(config, tables, craft, rotation, position, material, predicted if in_subspace else None)
 
-    channels = jax.lax.map(channel, (craft, rotation, position, material, predicted), batch_size=_TOGETHER)
+    channels = jax.lax.map(channel, (craft, rotation, position, material, predicted), batch_size=TOGETHER)
 
     def seen(key: jax.Array, channel: jax.Array, predicted: jax.Array, level: dict[str, jax.Array]):
         whole = Coefficients(channel, predicted) if in_subspace else channel
@@ -130,25 +126,8 @@ def _streamed(
 
     snr_db, heard = jax.vmap(seen)(echo_keys, channels, predicted, level)
     cloud = to_cloud(points, position, predicted, material[:, 0], material[:, 1], config.region)
-    return Batch.of(predicted, snr_db, cloud, heard)
-
-
-def _heard_of(
-    config: Config,
-    tables: Table,
-    craft: Int[Array, ""],
-    rotation: Float[Array, "3 3"],
-    position: Float[Array, "3"],
-    material: Float[Array, "2"],
-    centre: Float[Array, "3"] | None,
-) -> Complex[jax.Array, "tones rows columns"]:
-    """A channel (F, N_b, N_b) by table, or with ``centre`` its coefficients about it (F, K, K)."""
-    array, tones = PlanarArray.from_config(config.array), len(config.array.frequencies_hz)
-    chi = contrast_of(config, material[0], material[1])
-    combine = None
-    if centre is not None:
-        combine = jnp.swapaxes(Subspace.from_config(config.array).waves(centre).conj(), -1, -2)
-    answer = table_channel(
-        tables, array, rotation, position, chi[0] if tables.single else chi, combine=combine, craft=craft
-    )
-    return answer.reshape(tones, *answer.shape[-2:])
+    batch = Batch.of(predicted, snr_db, cloud, heard)
+    if config.model.scheme != "refchannel":
+        return batch
+    reference = reference_channels(config, tables, craft, rotation, position, material, predicted)
+    return batch._replace(reference_channel=reference)

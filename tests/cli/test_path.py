@@ -111,7 +111,7 @@ def test_commands_keep_off_each_other_s_folders(capsys, home, flown):
         (["train.batch=64"], ["train.batch", "64"]),
         (["data.count=80"], ["data.count: 80", "made with 40"]),
         (["train.weight_position=-1"], ["train.weight_position", "0 to"]),
-        (["model.scheme=refchannel"], ["model.scheme: refchannel", "choose august"]),
+        (["model.scheme=noebt"], ["model.scheme: unknown value 'noebt'", "did you mean 'noebd'"]),
         (["--init", "nowhere"], ["nowhere/config.yaml", "august train"]),
     ],
 )

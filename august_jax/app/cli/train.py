@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import json
 from collections.abc import Callable
 from functools import partial
@@ -91,9 +92,14 @@ def _stored(args: argparse.Namespace) -> tuple[Dataset, Config]:
 
 
 def _batches(dataset: Dataset, config: Config) -> tuple[TrainingBatches, Dataset]:
-    from august_jax.data import TrainingBatches
+    from august_jax.data import TrainingBatches, prepare_targets
 
-    batches = TrainingBatches(dataset, config)
+    targets = []
+    if config.model.scheme == "refchannel":  # what it learns from is made by table
+        targets = prepare_targets(
+            dataclasses.replace(config, data=dataclasses.replace(config.data, solver="table")), note
+        )
+    batches = TrainingBatches(dataset, config, targets)
     note(f"{len(dataset.rows('train'))} of {dataset.count} samples are for training, {config.train.steps} steps")
     return batches, dataset
 
