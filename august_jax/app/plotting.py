@@ -279,6 +279,7 @@ def evaluation_curves(rows: Sequence[Mapping[str, Any]], png: str | Path, *, tit
     schemes = list(dict.fromkeys(row["scheme"] for row in rows))
     most = max(row["count"] for row in rows)
     labels = {scheme: SCHEMES[scheme].label if scheme in SCHEMES else scheme for scheme in schemes}
+    labels |= {row["scheme"]: row["label"] for row in rows if "label" in row}
     for row in rows:
         if row["count"] < most:
             labels[row["scheme"]] = f"{labels[row['scheme']].partition(',')[0]}, {row['count']} samples"

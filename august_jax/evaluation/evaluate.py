@@ -8,8 +8,9 @@ triples of them (``mde_triples``), both of :mod:`august_jax.tracking.attitude`. 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -17,7 +18,8 @@ import numpy as np
 from flax import nnx
 
 from august_jax import streams
-from august_jax.config import Config
+from august_jax.config import Config, ConfigError, check_weights
+from august_jax.config.fields import near
 from august_jax.data import Dataset, Sample, Target, batch_of, generate, observed_anew, prepare_targets
 from august_jax.evaluation import metrics
 from august_jax.evaluation.bound import Bound
@@ -28,7 +30,8 @@ from august_jax.progress import Progress, silent
 from august_jax.scene.airframes import Airframe
 from august_jax.scene.cloud import position_estimate
 from august_jax.scene.pose import transform
-from august_jax.schemes import SCHEMES, Answer, Ask, Setting, Slots, Truth
+from august_jax.schemes import SCHEMES, Answer, Ask, Scheme, Setting, Slots, Truth, title_of
+from august_jax.schemes.networks import AUGUST
 
 _PIECE = 50
 """Slots answered together."""
@@ -37,10 +40,18 @@ _PATIENCE_S = 5.0
 
 
 @streams.pin
-def evaluate(networks: Networks, config: Config, *, seed: int, progress: Progress = silent) -> list[Row]:
+def evaluate(
+    networks: Networks | Mapping[str, Networks],
+    config: Config,
+    *,
+    seed: int,
+    schemes: Sequence[str] | None = None,
+    progress: Progress = silent,
+) -> list[Row]:
     """Rows of accuracy on freshly simulated samples, ``config.evaluate.count`` of them, each from its own flight.
 
     All SNRs share the samples, their predictions and the draws of the noise, so that only the SNR makes a difference.
+    So do several networks, whatever their encoders, and the draws of their samplers.
 
     ``bound_m`` is the mean position error that the Fisher information of the first 100 samples leaves to an
     estimator that knows the airframe but neither heading nor complex gain, under a Gaussian prior of the
@@ -51,13 +62,31 @@ def evaluate(networks: Networks, config: Config, *, seed: int, progress: Progres
     A search among the known craft, ``matched_field``, takes seconds a slot and answers the first ``evaluate.searched``
     samples alone, by the same simulator that made them: it is never told of a craft that it does not know.
 
+    Args:
+        networks: trained; or several, each of which is a line under its name in the place of ``august``
+            (:func:`august_jax.schemes.lines_of` names them). Of several the first one's encoder says what schemes
+            without networks hear, and the first one's answer is that of a search that explains nothing.
+        config: of the samples, the station and the sampler; that of the networks, possibly with other settings of
+            these. Of several each keeps its own ``model`` and ``train``.
+        seed: of the samples and all that is drawn.
+        schemes: which of :data:`august_jax.schemes.SCHEMES` to ask; None asks all.
+        progress: told how far it is.
+
     Returns:
         For each SNR and scheme (:data:`august_jax.schemes.SCHEMES`) a row ``scheme``, ``label``, ``snr_db``, the
         metrics of :func:`~august_jax.evaluation.score.score`, ``count``, ``bound_m`` [m] and ``bound_mde``, and
         ``own_bound_m`` and ``own_bound_mde``, the same of the slots that the scheme answered (the first 100 at most):
         what a search expects to err by (``expected_mpe_m``, ``expected_mde``) compares with these. None where a scheme
         does not define a metric or the bound is not known.
+
+    Raises:
+        ValueError: an unknown scheme, no networks, or a name that a scheme has.
+        ConfigError: networks that were trained for another array, region or flight box than ``config`` is of; names
+            them.
     """
+    chosen = _chosen(schemes)
+    several = _fitted(networks, config)
+    config = next(iter(several.values())).config
     count, slots = config.evaluate.count, config.flight.slots
     targets = prepare_targets(config, progress)
     progress(f"simulating {count} samples")
@@ -68,40 +97,40 @@ def evaluate(networks: Networks, config: Config, *, seed: int, progress: Progres
     resampled = _resampled(streams.key(seed, "evaluate.resampling"), samples, airframes, config.target.points)
     clouds = samples.points + samples.position[:, None]
     truth = Truth(samples.position, samples.rotation[:, :, 2], clouds, resampled, samples.airframe)
-    library = _library(config, targets, progress)
-    root = streams.key(seed, "evaluate.answer")
-    asks: dict[str, Ask] = {}
-    for name, scheme in SCHEMES.items():
-        ask = scheme.prepare(Setting(config, networks, airframes, streams.named(root, name), library))
-        if ask is not None:
-            asks[name] = ask
+    library = _library(config, targets, progress) if any(SCHEMES[name].slow for name in chosen) else None
+    lines = _lines(chosen, several, airframes, streams.key(seed, "evaluate.answer"), library)
+    hearing = {line.config.model.encoder: line.config for line in lines} | {config.model.encoder: config}
     seen_key = streams.key(seed, "evaluate.observation")
     rows: list[Row] = []
     deaf: dict[str, dict[str, float | None]] = {}
     bound = None
     began, levels = time.monotonic(), config.evaluate.snr_db
     for done, snr_db in enumerate(levels, 1):
-        batch = observed_anew(seen_key, samples, config, snr_db, statistics=True)
+        heard = {}
+        for encoder, own in hearing.items():
+            batch = observed_anew(seen_key, samples, own, snr_db, statistics=True)
+            heard[encoder] = Slots(batch.predicted, batch.snr_db, batch.heard, truth, batch.statistics)
         if bound is None:  # predictions are the same at any SNR
             progress("bounding what any estimator could do")
-            bound = Bound(samples, batch.predicted, targets, config)
-        asked = Slots(batch.predicted, batch.snr_db, batch.heard, truth, batch.statistics)
-        for name, ask in asks.items():
-            scored, slow = deaf.get(name), SCHEMES[name].slow
+            bound = Bound(samples, heard[config.model.encoder].predicted, targets, config)
+        for line in lines:
+            scored, slow, asked = deaf.get(line.name), line.scheme.slow, heard[line.config.model.encoder]
             those = asked.at(slice(0, config.evaluate.searched)) if slow else asked
             if scored is None:
                 if slow and done == 1:
-                    progress(f"{name} answers {those.slots} slots at each SNR; before the first one it is compiled")
-                key, where = jax.random.fold_in(streams.named(root, name), 1), f"SNR {snr_db:g} dB, {name}"
-                answer = _in_pieces(ask, key, those, 1 if slow else _PIECE, where, progress)
+                    progress(
+                        f"{line.name} answers {those.slots} slots at each SNR; before the first one it is compiled"
+                    )
+                where = f"SNR {snr_db:g} dB, {line.name}"
+                answer = _in_pieces(line.ask, line.key, those, 1 if slow else _PIECE, where, progress)
                 assert those.truth is not None
                 scored = score(answer, those.truth, config.target.half_wheelbase_m)
-                if not SCHEMES[name].hears:
-                    deaf[name] = scored
+                if not line.scheme.hears:
+                    deaf[line.name] = scored
             rows.append(
                 {
-                    "scheme": name,
-                    "label": SCHEMES[name].label,
+                    "scheme": line.name,
+                    "label": line.label,
                     "snr_db": snr_db,
                     **scored,
                     "count": those.slots,
@@ -110,12 +139,84 @@ def evaluate(networks: Networks, config: Config, *, seed: int, progress: Progres
                 }
             )
         left = (time.monotonic() - began) / done * (len(levels) - done)
-        errors = {row["scheme"]: row["mpe_m"] for row in rows[-len(asks) :] if row["mpe_m"] is not None}
+        errors = {row["scheme"]: row["mpe_m"] for row in rows[-len(lines) :] if row["mpe_m"] is not None}
         progress(
             f"SNR {snr_db:g} dB: MPE {', '.join(f'{name} {error:.3f}' for name, error in errors.items())} m  "
             f"{left:.0f} s left"
         )
     return rows
+
+
+class _Line(NamedTuple):
+    """Who answers under a name: prepared, with the configuration that says what it hears and the key that it draws
+    from."""
+
+    name: str
+    label: str
+    scheme: Scheme
+    ask: Ask
+    config: Config
+    key: jax.Array
+
+
+class _Fitted(NamedTuple):
+    """Networks with the configuration that they are evaluated under."""
+
+    networks: Networks
+    config: Config
+    label: str
+
+
+def _chosen(schemes: Sequence[str] | None) -> list[str]:
+    """Names of the schemes to ask, in the registry's order."""
+    for name in schemes or ():
+        if name not in SCHEMES:
+            hint = near(name, list(SCHEMES))
+            raise ValueError(
+                f"schemes: unknown scheme {name!r}; {hint + ' ' if hint else ''}choose of {', '.join(SCHEMES)}"
+            )
+    return [name for name in SCHEMES if schemes is None or name in schemes]
+
+
+def _fitted(networks: Networks | Mapping[str, Networks], config: Config) -> dict[str, _Fitted]:
+    """Networks by the name of their line, each under ``config`` with its own model; refused where that does not fit."""
+    if isinstance(networks, Networks):
+        check_weights(config, networks.config)
+        return {AUGUST.name: _Fitted(networks, config, AUGUST.label)}
+    if not networks:
+        raise ValueError("networks: got none; give networks, or several by name")
+    found = {}
+    for name, each in networks.items():
+        if name in SCHEMES and name != AUGUST.name:
+            raise ValueError(f"networks: {name!r} is the name of a scheme; give these networks another")
+        try:
+            own = replace(config, model=each.config.model, train=each.config.train)
+            check_weights(own, each.config)
+        except ConfigError as error:
+            raise ConfigError(f"networks: {name!r} ({each.name}) cannot stand beside the others\n{error}") from None
+        found[name] = _Fitted(each, own, title_of(each))
+    return found
+
+
+def _lines(
+    chosen: Sequence[str],
+    several: Mapping[str, _Fitted],
+    airframes: Sequence[Airframe],
+    root: jax.Array,
+    library: Library | None,
+) -> list[_Line]:
+    """All who answer, in the registry's order, several networks in the place of one."""
+    first = next(iter(several.values()))
+    lines = []
+    for name in chosen:
+        scheme, prepared = SCHEMES[name], streams.named(root, name)
+        key = jax.random.fold_in(prepared, 1)  # shared by several networks
+        those = several if name == AUGUST.name else {name: first._replace(label=scheme.label)}
+        for line, (networks, config, label) in those.items():
+            ask = scheme.prepare(Setting(config, networks, airframes, prepared, library))
+            if ask is not None:
+                lines.append(_Line(line, label, scheme, ask, config, key))
+    return lines
 
 
 def _in_pieces(ask: Ask, key: jax.Array, slots: Slots, together: int, where: str, progress: Progress) -> Answer:

@@ -11,34 +11,52 @@ from august_jax.app.cli.common import chosen_weights, folder
 from august_jax.app.cli.messages import UsageError, command_line, expected_table, note, say, scheme_table, search_table
 from august_jax.app.cli.parser import Command, whole
 
+_MOST_RUNS = 64
+
 
 def _arguments(parser: argparse.ArgumentParser) -> None:
-    parser.set_defaults(places=1)
-    parser.usage = f"{parser.prog} [RUN] [options] [section.field=value ...]"
+    parser.set_defaults(places=_MOST_RUNS)
+    parser.usage = f"{parser.prog} [RUN ...] [options] [section.field=value ...]"
     parser.add_argument(
-        "--run", metavar="RUN", help="the same as RUN: weights of your own training run (default: the shipped ones)"
+        "--run",
+        metavar="RUN",
+        help="the same as RUN: weights of your own training run (default: the shipped ones); several RUNs are compared "
+        "on the same samples, a line each",
+    )
+    parser.add_argument(
+        "--schemes",
+        metavar="NAMES",
+        help="which schemes to ask, separated by commas; august is the networks (default: all)",
     )
     parser.add_argument("--seed", type=whole(), default=1, metavar="N", help="of the fresh samples (default 1)")
 
 
 def _run(args: argparse.Namespace) -> dict[str, Any]:
-    from august_jax import evaluation
+    from august_jax import evaluation, pipeline
     from august_jax.app import plotting
     from august_jax.files import write_text
+    from august_jax.schemes import lines_of
 
     out = folder(args, "august_evaluate")
     if args.run and args.rest:
         raise UsageError(f"{args.rest[0]!r}: the run is already given as --run {args.run}; name one")
-    networks, config = chosen_weights(args, args.run or (args.rest[0] if args.rest else None))
-    rows = evaluation.evaluate(networks, config, seed=args.seed, progress=note)
+    runs = args.rest or [args.run]
+    first, config = chosen_weights(args, runs[0])
+    several = lines_of([first, *map(pipeline.load_networks, runs[1:])])
+    chosen = None if args.schemes is None else [name.strip() for name in args.schemes.split(",")]
+    rows = evaluation.evaluate(
+        first if len(several) == 1 else several, config, seed=args.seed, schemes=chosen, progress=note
+    )
+    weights: Any = first.name if len(several) == 1 else {line: each.name for line, each in several.items()}
     made = {"command_line": command_line(*args.words), "configuration": configuration.to_dict(config)}
     found = {"rows": rows, "thresholds": evaluation.thresholds(rows)}
-    result = {"weights": networks.name, "seed": args.seed, **made, **found}
+    result = {"weights": weights, "seed": args.seed, **made, **found}
     write_text(out / "evaluation.json", json.dumps(result, indent=1, allow_nan=False))
     plotting.evaluation_curves(
         rows,
         out / "evaluation.png",
-        title=f"{networks.name}, seed {args.seed}, {config.evaluate.count} samples at each SNR",
+        title=f"{first.name if len(several) == 1 else f'{len(several)} networks'}, seed {args.seed}, "
+        f"{config.evaluate.count} samples at each SNR",
     )
     say(args, scheme_table(rows, snr=True))
     searched = search_table(rows)

@@ -35,6 +35,7 @@ FLAGS = {
     "roll": "--roll",
     "roll_deg": "--roll",
     "run": "--run",
+    "schemes": "--schemes",
     "seed": "--seed",
     "shard": "--shard",
     "slots": "--slots",
