@@ -19,6 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from august_jax.app.machine import processor
 from august_jax.files import write_text
 
 Figures = dict[str, Any]
@@ -55,15 +56,6 @@ def machine() -> dict[str, str | int | float]:
     }
     print(described, flush=True)
     return described
-
-
-def processor() -> str:
-    """The processor's own name, where the system tells it."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-        return next(line.split(":")[1].strip() for line in lines if line.startswith("model name"))
-    except (OSError, StopIteration):
-        return platform.processor() or platform.machine()
 
 
 def seconds(call: Callable[[], Any]) -> float:

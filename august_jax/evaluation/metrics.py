@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Float
 
 from august_jax.arrays import Array, ArrayLike
@@ -63,9 +64,29 @@ def weighted_distance(
     return shape_distance(estimated, true) + jnp.sum((estimated_position - position) ** 2)
 
 
+def shape_distances(
+    estimated: Float[Array, "batch n 3"], true: Float[Array, "batch m 3"]
+) -> Float[jax.Array, " batch"]:
+    """:func:`shape_distance` of each pair of clouds (B, N, 3), (B, M, 3) [m], about any origin, in m^2.
+
+    Raises:
+        ValueError: shapes that do not fit.
+    """
+    _check_clouds(estimated, true)
+    return _shape_distances(estimated, true)
+
+
 @jax.jit
 def _shape_distances(estimated, true):
     return jax.lax.map(lambda pair: shape_distance(*pair), (estimated, true), batch_size=BATCH)
+
+
+def decibels(values: Float[Array, " batch"]) -> tuple[float, float | None]:
+    """Mean of squared distances (B,) [m^2] in dB, and its standard error [dB] to first order; None for one value."""
+    values = np.asarray(values, np.float64)
+    mean = float(np.mean(values))
+    error = float(np.std(values, ddof=1) / np.sqrt(len(values))) if len(values) > 1 else None
+    return 10.0 * float(np.log10(mean)), None if error is None else 10.0 / float(np.log(10.0)) * error / mean
 
 
 def wd_db(

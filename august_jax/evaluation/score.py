@@ -40,7 +40,8 @@ def score(answer: Answer, truth: Truth, size_m: float) -> dict[str, float | None
 
     Returns:
         ``mpe_m`` [m] and its standard error ``mpe_se_m`` [m] (None for one sample), ``mde``, ``mde_triples``, ``wd_db``
-        and ``mcd_db`` [dB re 1 m^2], ``wd_size_db`` [dB]; ``along_m`` and ``across_m``, the position's
+        and ``mcd_db`` [dB re 1 m^2], with standard errors ``mde_se``, ``wd_se_db`` and ``mcd_se_db`` [dB] (None for one
+        sample), ``wd_size_db`` [dB]; ``along_m`` and ``across_m``, the position's
         root-mean-square error along the line of sight and across it [m]; ``craft_accuracy``, the share of slots whose
         craft is named, and ``craft_chance``, that of guessing; ``explained``, the share of slots in which a known craft
         explains the echo; ``inside_50`` and ``inside_90``, how often the truth lies in the credible regions of these
@@ -50,7 +51,8 @@ def score(answer: Answer, truth: Truth, size_m: float) -> dict[str, float | None
         slot [s].
     """
     values: dict[str, float | None] = dict.fromkeys(
-        ("mpe_m", "mpe_se_m", "mde", "mde_triples", "wd_db", "wd_size_db", "mcd_db", "along_m", "across_m",
+        ("mpe_m", "mpe_se_m", "mde", "mde_se", "mde_triples", "wd_db", "wd_se_db", "wd_size_db", "mcd_db",
+         "mcd_se_db", "along_m", "across_m",
          "craft_accuracy", "craft_chance", "explained", "inside_50", "inside_90", "expected_mpe_m", "expected_mde",
          "mpe_over_expected", "mde_over_expected", "seconds")
     )  # fmt: skip
@@ -64,18 +66,20 @@ def score(answer: Answer, truth: Truth, size_m: float) -> dict[str, float | None
             values |= {"along_m": float(along), "across_m": float(across)}
     if answer.normal is not None:
         values["mde"] = float(metrics.mde(answer.normal, truth.normal))
+        apart = 1.0 - np.sum(np.asarray(answer.normal, np.float64) * truth.normal, axis=-1)
+        if len(apart) > 1:
+            values["mde_se"] = float(np.std(apart, ddof=1) / np.sqrt(len(apart)))
     if answer.triple_normal is not None:
         values["mde_triples"] = float(metrics.mde(answer.triple_normal, truth.normal))
     if answer.cloud is not None:
         place = answer.centre if answer.position is None else answer.position
         if place is None:
             raise ValueError("answer: got a cloud without a position or a centre; say where it lies")
-        wd_db = float(metrics.wd_db(answer.cloud.points, truth.cloud, place, truth.position))
-        values |= {
-            "wd_db": wd_db,
-            "wd_size_db": wd_db - float(20.0 * np.log10(size_m)),
-            "mcd_db": float(metrics.mcd_db(answer.cloud.points, truth.cloud)),
-        }
+        shapes = np.asarray(metrics.shape_distances(answer.cloud.points, truth.cloud), np.float64)
+        weighted = shapes + np.sum((np.asarray(place, np.float64) - truth.position) ** 2, axis=-1)
+        (wd_db, wd_se_db), (mcd_db, mcd_se_db) = metrics.decibels(weighted), metrics.decibels(shapes)
+        values |= {"wd_db": wd_db, "wd_se_db": wd_se_db, "mcd_db": mcd_db, "mcd_se_db": mcd_se_db}
+        values["wd_size_db"] = wd_db - float(20.0 * np.log10(size_m))
     if answer.craft is not None and truth.craft is not None:
         values["craft_accuracy"] = float(np.mean(np.asarray(answer.craft) == np.asarray(truth.craft)))
         if answer.craft_probability is not None:

@@ -1,0 +1,130 @@
+"""Accuracy over transmit power: what the figures of the craft's size and material share.
+
+A larger craft, or one of a stronger material, sends back more at the same power, which an SNR that is set to a value
+would hide. The powers are those at which the median echo of the preset's own craft has the SNRs of an evaluation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from campaign import SEED, Campaign, Numbers, Run
+from figure import INK, MARKS, PAGE_IN, Clock, empty, legend_below, plain
+from looked import clear_programs, fresh
+
+from august_jax import streams
+from august_jax.config import Config, override
+from august_jax.data import Sample, observed_anew
+from august_jax.evaluation import metrics
+from august_jax.models import Networks
+from august_jax.schemes import SCHEMES, Setting, Slots
+
+_TOGETHER = 50
+
+
+class Case(NamedTuple):
+    """Craft that fly, and networks that were trained for them.
+
+    Attributes:
+        label: of the line.
+        run: whose networks are asked.
+        flown: what differs from the run in what flies.
+    """
+
+    label: str
+    run: Run
+    flown: tuple[str, ...] = ()
+
+
+def over_power(campaign: Campaign, cases: Sequence[Case], count: int) -> Numbers:
+    """Errors of each case at each power, on ``count`` slots that all cases share but for the craft.
+
+    Returns:
+        ``label`` (L,); ``power_dbm`` (P,); (L, P) each: ``snr_db`` (median), ``wd_db`` with ``wd_se_db``, ``mcd_db``,
+        ``mpe_m`` with ``mpe_se_m``; (L,) each: ``prediction_m`` and ``floor_db``, answering the prediction, and the WD
+        of the true surface drawn anew.
+    """
+    powers = np.zeros(0)
+    found: list[list[tuple[float, ...]]] = []
+    deaf: list[tuple[float, float]] = []
+    clock = Clock(len(cases))
+    for case in cases:
+        networks = campaign.networks(case.run)
+        config = override(campaign.config(case.run), case.flown)
+        samples = fresh(config, np.arange(count))
+        if not len(powers):
+            unit = float(np.median(_echoes(samples, config, 0.0).snr_db))
+            powers = np.asarray(campaign.scale.snr_db) - unit
+        found.append([])
+        for power in powers:
+            batch = _echoes(samples, config, float(power))
+            found[-1].append(_errors(networks, config, samples, batch))
+        deaf.append((float(metrics.mpe_m(batch.predicted, samples.position)), _anew(samples)))
+        campaign.progress(f"{case.label}: {count} slots at {len(powers)} powers  {clock.left()}")
+        clear_programs()
+    names = ("snr_db", "wd_db", "wd_se_db", "mcd_db", "mpe_m", "mpe_se_m")
+    values = np.array(found)
+    return {
+        "label": np.array([case.label for case in cases]),
+        "power_dbm": powers,
+        **{name: values[..., column] for column, name in enumerate(names)},
+        "prediction_m": np.array([each[0] for each in deaf]),
+        "floor_db": np.array([each[1] for each in deaf]),
+    }
+
+
+@streams.pin
+def _echoes(samples: Sample, config: Config, power_dbm: float):
+    """Echoes at a transmit power [dBm]; predictions and noise are drawn alike at all."""
+    signal = replace(config.signal, draw="power", power_dbm=(power_dbm, power_dbm))
+    return observed_anew(streams.key(SEED, "evaluate.observation"), samples, replace(config, signal=signal))
+
+
+def _errors(networks: Networks, config: Config, samples: Sample, batch) -> tuple[float, ...]:
+    key = streams.key(SEED, "evaluate.answer")
+    ask = SCHEMES["august"].prepare(Setting(config, networks, None, key))
+    assert ask is not None  # it needs networks alone
+    apart, off = [], []
+    for start in range(0, samples.rows, _TOGETHER):
+        rows = slice(start, start + _TOGETHER)
+        slots = Slots(batch.predicted, batch.snr_db, batch.heard, None).at(rows)
+        answer = ask(jax.random.fold_in(key, start), slots)
+        assert answer.cloud is not None and answer.position is not None
+        apart.append(np.asarray(metrics.shape_distances(answer.cloud.points, samples.points[rows])))
+        off.append(np.linalg.norm(np.asarray(answer.position) - samples.position[rows], axis=-1))
+    shapes, errors = np.concatenate(apart), np.concatenate(off)
+    (wd_db, wd_se_db), (mcd_db, _) = metrics.decibels(shapes + errors**2), metrics.decibels(shapes)
+    spread = errors.std(ddof=1) / np.sqrt(len(errors))
+    return float(np.median(batch.snr_db)), wd_db, wd_se_db or 0.0, mcd_db, errors.mean(), spread
+
+
+def _anew(samples: Sample) -> float:
+    """WD [dB] of the true surfaces, half of their points against the other half's place and shape."""
+    points = np.asarray(samples.points)
+    first, second = points[:, ::2], points[:, 1::2]
+    off = np.linalg.norm(first.mean(axis=1) - second.mean(axis=1), axis=-1)
+    return metrics.decibels(np.asarray(metrics.shape_distances(first, second)) + off**2)[0]
+
+
+def drawn_over_power(numbers: Numbers):
+    """The weighted distance and the position error, a line a case."""
+    drawn = empty(PAGE_IN, 3.1)
+    first, second = drawn.subplots(1, 2)
+    power = numbers["power_dbm"]
+    for row, label in enumerate(numbers["label"]):
+        style = {"color": INK[row % len(INK)], "marker": MARKS[row % len(MARKS)], "ms": 3, "lw": 1.1, "capsize": 1.5}
+        first.errorbar(power, numbers["wd_db"][row], numbers["wd_se_db"][row], label=str(label), **style)
+        second.errorbar(power, numbers["mpe_m"][row], numbers["mpe_se_m"][row], **style)
+        first.axhline(numbers["floor_db"][row], color=style["color"], ls=":", lw=0.8)
+    second.axhline(numbers["prediction_m"][0], color="#555555", ls="--", lw=1.0, label="answering the prediction")
+    first.set_ylabel("weighted distance [dB]; dotted: floor of the cloud's points")
+    second.set(ylabel="mean position error [m]", ylim=(0.0, None))
+    for axes in (first, second):
+        axes.set_xlabel("transmit power [dBm]")
+        plain(axes)
+    legend_below(drawn, 4)
+    return drawn

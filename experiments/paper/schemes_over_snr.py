@@ -1,0 +1,49 @@
+"""The lines of the figures that compare schemes: their runs, labels and styles."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from campaign import SCALES, Campaign, Numbers, Run, run_of
+from figure import INK, Figure, columns
+
+NAMES = {"august": "AUGUST", "noebd": "NoEBD", "nolatent": "NoLatent", "refchannel": "RefChannel-Diff"}
+ENCODERS = {"roi": ("our encoder", "-"), "paper": ("the paper's", "--")}
+OTHERS = {
+    "polar": ("model-based, polar domain", "#000000", "-"),
+    "polar_angles": ("its angles alone", "#000000", ":"),
+    "matched_field": ("search by physics", "#7a3fb5", "-"),
+}
+
+
+def compared(preset: str) -> list[tuple[Run, bool]]:
+    """Every scheme with every encoder, at the largest array; the first run is asked for the search, too."""
+    return [(run_of(preset, scheme, encoder), True) for encoder in SCALES[preset].encoders for scheme in NAMES]
+
+
+def asked(preset: str, run: Run, figures: Sequence[Figure]) -> list[bool]:
+    """Whether a run is evaluated with the search, without it, or, for several figures, both."""
+    wanted = set()
+    for figure in figures:
+        mine = [each for each, rows in figure.runs(preset) if rows]
+        if run in mine:
+            wanted.add(figure.runs is compared and run == mine[0] and SCALES[preset].searched > 0)
+    return sorted(wanted)
+
+
+def compared_numbers(campaign: Campaign) -> Numbers:
+    """Their accuracy, and that of all schemes without networks."""
+    runs = [run for run, _ in compared(campaign.preset)]
+    first, searched = runs[0], campaign.scale.searched > 0
+    return columns((run.name, campaign.rows(run, searched and run == first)) for run in runs)
+
+
+def compared_lines(numbers: Numbers) -> dict[str, tuple[str, str, str]]:
+    """Line -> label, colour, style, of the networks in ``numbers`` and of what needs none."""
+    lines = {}
+    for name in dict.fromkeys(map(str, numbers["line"])):
+        scheme, _, rest = name.partition("-")
+        if rest:
+            told, style = ENCODERS[rest.partition("-")[0]]
+            lines[name] = (f"{NAMES[scheme]}, {told}", INK[list(NAMES).index(scheme)], style)
+    return lines | OTHERS

@@ -1,0 +1,197 @@
+"""The paper's figures: a plan before the work, refusals with the way out, and pictures from numbers."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import sys
+
+import numpy as np
+import pytest
+import scripts
+from test_experiments import assert_ink
+
+SNRS_DB = (0.0, 15.0, 30.0)
+RUNS = ("--runs", "runs", "--results", "results")
+
+
+@pytest.fixture
+def reproduce(monkeypatch, tmp_path):
+    """The script as a module, in a folder of its own."""
+    for folder in ("experiments/paper", "experiments"):
+        monkeypatch.syspath_prepend(scripts.ROOT / folder)
+    monkeypatch.chdir(tmp_path)
+    return importlib.import_module("reproduce")
+
+
+def campaign(preset="laptop"):
+    from pathlib import Path
+
+    from campaign import Campaign
+
+    return Campaign(preset, Path("runs"), Path("results"))
+
+
+@pytest.mark.parametrize(
+    "words, told",
+    [
+        (("positon_error",), "did you mean 'position_error'?"),
+        (("whatever",), "there are all, position_error,"),
+        (("tracks", "--preset", "smoke", "--budget", "0.1"), "--budget: 0.1 minutes are too few"),
+    ],
+)
+def test_what_cannot_be_done_is_refused_with_the_way_out(reproduce, capsys, tmp_path, words, told):
+    assert reproduce.main([*words, *RUNS]) == 2
+    error = capsys.readouterr().err
+    assert told in error and len(error.splitlines()) <= 6
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("preset", ["smoke", "laptop", "paper"])
+def test_the_plan_counts_what_is_missing_and_writes_nothing(reproduce, capsys, tmp_path, preset):
+    from campaign import SCALES
+
+    assert reproduce.main(["all", "--preset", preset, "--plan", *RUNS]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    trained = [line for line in lines if "  train " in line]
+    assert len({line.split()[3] for line in trained}) == len(trained)  # what figures share is trained once
+    assert all(f"0 of {SCALES[preset].steps} steps" in line for line in trained)
+    assert sum("  figure " in line for line in lines) == len(reproduce.NAMES)
+    assert lines[-1].startswith(f"{len(lines) - 1} of {len(lines) - 1} pieces to do")
+    assert not list(tmp_path.iterdir())
+
+
+def test_runs_differ_where_their_names_do(reproduce):
+    from campaign import digest_of
+
+    here = campaign()
+    runs = {run for figure in reproduce.figures(["all"]) for run, _ in figure.runs("laptop")}
+    assert len(runs) == len({run.name for run in runs}) == len({digest_of(here.config(run)) for run in runs})
+    assert all(here.config(run).train.source == "stream" for run in runs)
+
+
+def test_results_of_another_configuration_are_refused(reproduce, capsys):
+    here = campaign("smoke")
+    here.keep("denoising", {"some": np.zeros(3)}, "0123456789abcdef", 1.0)
+    (figure,) = reproduce.figures(["denoising"])
+    with pytest.raises(ValueError, match="another configuration .0123456789abcdef, now .*remove it"):
+        here.numbers("denoising", figure.digest(here))
+    here.keep("denoising", {"some": np.zeros(3)}, figure.digest(here), 1.0)
+    assert set(here.numbers("denoising", figure.digest(here))) == {"some"}
+    with np.load("results/smoke/denoising.npz") as kept:
+        told = json.loads(str(kept["record"]))
+    assert told["preset"] == "smoke" and told["seconds"] == 1.0 and told["hardware"]
+    assert {"jax", "python", "august_jax"} <= set(told["versions"])
+
+
+def test_one_figure_that_is_not_computed_says_what_to_run(reproduce, capsys, monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["tracks.py", "draw", "--preset", "smoke", *RUNS])
+    from figure import main
+
+    (figure,) = reproduce.figures(["tracks"])
+    with pytest.raises(SystemExit) as ended:
+        main(figure, "")
+    assert ended.value.code == 2
+    assert "`python experiments/paper/tracks.py compute --preset smoke`" in capsys.readouterr().err
+
+
+def rows(level):
+    """What an evaluation may say, better from SNR to SNR."""
+    found = []
+    for number, snr_db in enumerate(SNRS_DB):
+        for scheme in (
+            "august",
+            "polar",
+            "polar_angles",
+            "matched_field",
+            "prediction",
+            "up",
+            "mean_shape",
+            "resampling",
+        ):
+            value = level / (1.0 + number)
+            found.append(
+                {"scheme": scheme, "snr_db": snr_db, "count": 10, "mpe_m": value, "mpe_se_m": 0.1 * value,
+                 "mde": 0.1 * value, "mde_se": 0.01 * value, "wd_db": -10.0 * value, "wd_se_db": 0.3, "mcd_db": -20.0,
+                 "mcd_se_db": 0.2, "craft_accuracy": None, "bound_m": 0.1 * value, "bound_mde": 0.001 * value}
+            )  # fmt: skip
+    return found
+
+
+def test_what_schemes_without_networks_say_is_taken_once(reproduce):
+    from figure import columns
+
+    numbers = columns([("first", rows(1.0)), ("second", rows(0.5))])
+    lines = list(numbers["line"])
+    assert lines.count("first") == lines.count("second") == lines.count("polar") == len(SNRS_DB)
+    assert np.all(numbers["mpe_m"][numbers["line"] == "second"] == np.array([0.5, 0.25, 0.5 / 3.0]))
+    assert np.all(np.isnan(numbers["craft_accuracy"]))
+
+
+def made_up(figure, here):
+    """Numbers of the shapes that a figure draws."""
+    from campaign import Run
+
+    rng = np.random.default_rng(0)
+    if figure.name in ("position_error", "shape_error", "attitude_error", "array_size", "region_size"):
+        here.rows = lambda run, searched=False: rows(0.2 + 0.01 * len(run.name))
+        return figure.compute(here)
+    points, slots, drawn = 50, 2, 3
+    truth = rng.normal(scale=0.1, size=(slots, points, 3))
+    clouds = {
+        "truth_m": truth, "true_permittivity": np.full((slots, points), 3.0),
+        "true_conductivity": np.full((slots, points), 5e-3), "label": np.array(["a", "b", "c"]),
+        "points_m": truth + 0.02 * rng.normal(size=(drawn, slots, points, 3)), "off_m": np.full((drawn, slots), 0.1),
+        "permittivity": rng.uniform(2.0, 4.0, (drawn, slots, points)), "chamfer_m2": np.full((drawn, slots), 1e-3),
+        "conductivity": rng.uniform(0.0, 1e-2, (drawn, slots, points)),
+    }  # fmt: skip
+    if figure.name == "denoising":
+        return {
+            "instants": np.array([0, 10, 20]), "points_m": clouds["points_m"][:, 0], "truth_m": truth[0],
+            "permittivity": clouds["permittivity"][:, 0], "true_permittivity": clouds["true_permittivity"][0],
+            "off_m": np.array([0.3, 0.1, 0.05]), "spread_m": np.array([0.5, 0.2, 0.1]),
+        }  # fmt: skip
+    if figure.name == "tracks":
+        errors = rng.uniform(0.01, 0.5, (2, 3, 20))
+        return {"label": np.array(["smooth", "dynamic"]), "places_m": rng.normal(size=(2, 3, 20, 3)).cumsum(axis=2),
+                "predicted_m": errors, "estimated_m": 0.5 * errors, "first": np.array(3)}  # fmt: skip
+    if figure.name.startswith("craft_"):
+        lines = {name: rng.uniform(0.1, 1.0, (2, 3)) for name in ("wd_se_db", "mpe_m", "mpe_se_m", "snr_db")}
+        return {"label": np.array(["small", "large"]), "power_dbm": np.array([-30.0, -15.0, 0.0]), **lines,
+                "wd_db": -10.0 * lines["mpe_m"], "mcd_db": -20.0 * lines["mpe_m"],
+                "prediction_m": np.full(2, 0.48), "floor_db": np.full(2, -37.0)}  # fmt: skip
+    assert figure.name.startswith("clouds_by") or figure.name == "region_view"
+    assert isinstance(figure.runs("laptop")[0][0], Run)
+    return clouds
+
+
+@pytest.mark.parametrize("number", range(13))
+def test_a_figure_is_drawn_from_its_numbers(reproduce, number):
+    from figure import picture
+
+    (figure,) = reproduce.figures([reproduce.NAMES[number]])
+    here = campaign()
+    pdf, png = picture(figure, here, made_up(figure, here))
+    assert pdf.read_bytes().startswith(b"%PDF")
+    assert_ink(png)
+
+
+def test_every_figure_has_a_script_and_every_script_is_in_the_list(reproduce):
+    assert len(reproduce.NAMES) == 13
+    for figure in reproduce.figures(["all"]):
+        assert figure.minutes > 0.0 and figure.subject and figure.paper
+    found = {
+        path.stem for path in (scripts.ROOT / "experiments" / "paper").glob("*.py") if "\nFIGURE" in path.read_text()
+    }
+    assert found == set(reproduce.NAMES)
+
+
+@pytest.mark.slow
+def test_all_figures_at_the_smallest_scale(reproduce, tmp_path, capsys):
+    """Trained, evaluated, computed and drawn; a second run has nothing to do."""
+    assert reproduce.main(["all", "--preset", "smoke", *RUNS]) == 0
+    for name in reproduce.NAMES:
+        assert_ink(tmp_path / "results" / "smoke" / f"{name}.png")
+    capsys.readouterr()
+    assert reproduce.main(["all", "--preset", "smoke", "--plan", *RUNS]) == 0
+    assert capsys.readouterr().out.splitlines()[-1].startswith("0 of ")
