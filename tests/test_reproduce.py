@@ -184,6 +184,9 @@ def test_every_figure_has_a_script_and_every_script_is_in_the_list(reproduce):
         path.stem for path in (scripts.ROOT / "experiments" / "paper").glob("*.py") if "\nFIGURE" in path.read_text()
     }
     assert found == set(reproduce.NAMES)
+    told = (scripts.ROOT / "experiments" / "README.md").read_text()
+    studies = scripts.defining("experiments", "compute", "draw")
+    assert all(f"`{name}.py`" in told for name in (*found, *studies))
 
 
 @pytest.mark.slow
