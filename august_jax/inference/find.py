@@ -93,13 +93,7 @@ _MATTERS = 0.3
 
 
 def find_craft(
-    library: Library,
-    statistics: Statistics,
-    prior: Prior,
-    *,
-    key: jax.Array,
-    level: float = LEVEL,
-    proposals: Candidates | None = None,
+    library: Library, statistics: Statistics, prior: Prior, *, key: jax.Array, level: float = LEVEL
 ) -> Posterior:
     """Search the known craft, attitudes, places and materials for what explains one echo.
 
@@ -109,7 +103,6 @@ def find_craft(
         prior: what is known before the echo.
         key: of the posterior's samples.
         level: below which the best residual's probability under noise counts as unexplained.
-        proposals: explanations to begin with in place of the screen, such as a tracker's.
 
     Raises:
         ValueError: an echo that is not finite, or of other tones or another array than the library's; a prior that
@@ -125,15 +118,12 @@ def find_craft(
     met: list[Candidates] = []
     modes: Candidates | None = None
     for plan in (_WEAK if snr_db < _WEAK_SNR_DB else _QUICK, _PATIENT):
-        if proposals is None:
-            found = _looked(library, statistics, prior, snr_db, plan, met, clock)
-        else:
-            found = improved(library.table, library.subspace, statistics, prior, proposals, 1.0, steps=6)
+        found = _looked(library, statistics, prior, snr_db, plan, met, clock)
         met.append(_shaken(library, statistics, prior, found, snr_db))
         clock("refine")
         modes = _modes(library, statistics, prior, met[-1] if modes is None else _joined([met[-1], modes]), exact)
         clock("polish")
-        if proposals is not None or chance(_least(modes, statistics, prior), degrees_left(statistics)) > _DOUBTED:
+        if chance(_least(modes, statistics, prior), degrees_left(statistics)) > _DOUBTED:
             break
     assert modes is not None
     first, corrections = _first(library, statistics, prior, modes, _joined(met), exact)
