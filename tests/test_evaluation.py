@@ -43,7 +43,7 @@ def test_what_an_answer_lacks_is_not_scored():
     true = truth()
     level, nothing = pytest.approx(0.0, abs=1e-6), score(Answer(), true, 0.25)
     assert set(nothing.values()) == {None}
-    assert score(Answer(normal=true.normal), true, 0.25) == nothing | {"mde": level}
+    assert score(Answer(normal=true.normal), true, 0.25) == nothing | {"mde": level, "mde_se": level}
     scattered = true.position + [[0.1, 0.0, 0.0], [0.0, 0.2, 0.0], [0.0, 0.0, 0.3]]
     assert score(Answer(position=scattered), true, 0.25)["mpe_se_m"] == pytest.approx(0.1 / np.sqrt(3.0))
     tilted = np.tile([0.6, 0.0, 0.8], (3, 1))

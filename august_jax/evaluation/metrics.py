@@ -82,9 +82,12 @@ def _shape_distances(estimated, true):
 
 
 def decibels(values: Float[Array, " batch"]) -> tuple[float, float | None]:
-    """Mean of squared distances (B,) [m^2] in dB, and its standard error [dB] to first order; None for one value."""
+    """Mean of squared distances (B,) [m^2] in dB, and its standard error [dB] to first order: None for one value,
+    or where all are zero and the mean is minus infinity."""
     values = np.asarray(values, np.float64)
     mean = float(np.mean(values))
+    if not mean > 0.0:
+        return -np.inf, None
     error = float(np.std(values, ddof=1) / np.sqrt(len(values))) if len(values) > 1 else None
     return 10.0 * float(np.log10(mean)), None if error is None else 10.0 / float(np.log(10.0)) * error / mean
 
