@@ -57,6 +57,9 @@ NAMES = (
     "follow.detection",  # where a detection puts a craft that is followed, by slot
     "follow.echo",  # by slot: pilots and noise
     "follow.search",  # by slot: what a tracker draws
+    "predictor.flight",  # by style, box and flight: those that a predictor learns from
+    "predictor.history",  # by step: which of them, at what noise
+    "predictor.validation",  # what it is validated on
 )
 """The streams. New ones go to the end: a stream's numbers depend on its place here."""
 _FIRST = 1 << 24

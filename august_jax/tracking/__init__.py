@@ -2,7 +2,15 @@
 
 from august_jax.tracking.attitude import cloud_normals, plane_normal, rotor_plane_normal, rotor_points, triple_normal
 from august_jax.tracking.loop import Followed, Located, follow
-from august_jax.tracking.predictors import PREDICTORS, FiniteDifference, Kalman, Prediction, Predictor, predict_next
+from august_jax.tracking.predictors import (
+    PREDICTORS,
+    FiniteDifference,
+    Kalman,
+    KalmanLSTM,
+    Prediction,
+    Predictor,
+    predict_next,
+)
 from august_jax.tracking.track import Track
 
 __all__ = [
@@ -10,6 +18,7 @@ __all__ = [
     "FiniteDifference",
     "Followed",
     "Kalman",
+    "KalmanLSTM",
     "Located",
     "Prediction",
     "Predictor",

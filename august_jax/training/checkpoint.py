@@ -8,7 +8,7 @@ removes; finished checkpoints are never touched by a save in progress.
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -17,12 +17,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import nnx
-from jaxtyping import Float
 
-from august_jax.arrays import Array
 from august_jax.config import Config
-from august_jax.files import read_npz, replacing
+from august_jax.files import replacing
 from august_jax.models import State, create
+from august_jax.models.weights import compare, flatten, read_weights
 from august_jax.training.step import ParameterLayout, TrainState
 
 _KEEP = 2
@@ -134,24 +133,6 @@ def load_weights(path: str | Path, config: Config) -> tuple[nnx.GraphDef, State]
     return graphdef, jax.tree.unflatten(jax.tree.structure(state), leaves)
 
 
-def read_weights(path: str | Path) -> dict[str, Float[np.ndarray, "..."]]:
-    """The arrays that :func:`save_weights` wrote, by dotted name, as float32.
-
-    Raises:
-        FileNotFoundError: no such file.
-        ValueError: the file is damaged (a ``files.DamagedFile``), or an array holds what is no finite number.
-    """
-    arrays = read_npz(path)
-    for name, leaf in arrays.items():
-        if leaf.dtype.kind != "f":
-            raise ValueError(f"{path}: {name} holds {leaf.dtype} and no real numbers; it is no file of weights")
-        with np.errstate(over="ignore"):
-            arrays[name] = leaf.astype(np.float32)
-        if not np.isfinite(arrays[name]).all():
-            raise ValueError(f"{path}: {name} holds NaN or infinity; take the weights of another save or run")
-    return arrays
-
-
 def warm_start(layout: ParameterLayout, state: TrainState, path: str | Path) -> tuple[TrainState, list[str]]:
     """``state`` with the parameters of another run's weights, wherever name and shape agree.
 
@@ -172,40 +153,6 @@ def warm_start(layout: ParameterLayout, state: TrainState, path: str | Path) -> 
         np.concatenate([np.ravel(leaf if name in kept else stored[name]) for name, leaf in own.items()])
     )
     return state._replace(params=params, ema=jnp.copy(params)), kept
-
-
-def flatten(tree: Any) -> dict[str, Array]:
-    """The leaves of a pytree by dotted name, in the pytree's own order."""
-    return {
-        ".".join(
-            str(getattr(part, "key", getattr(part, "name", getattr(part, "idx", part))))
-            for part in path
-            if getattr(part, "name", None) != "value"
-        ): leaf
-        for path, leaf in jax.tree_util.tree_leaves_with_path(tree)
-    }
-
-
-def compare(found: Mapping[str, tuple[int, ...]], wanted: Mapping[str, Array], source: Any) -> None:
-    """Check stored shapes against the arrays that are wanted.
-
-    Raises:
-        ValueError: it names the first leaf that is missing, left over or of another shape.
-    """
-    for name, leaf in wanted.items():
-        if name not in found:
-            raise ValueError(f"{source}: {name} is missing; the file belongs to another model.* configuration")
-        if tuple(found[name]) != leaf.shape:
-            raise ValueError(
-                f"{source}: {name} has shape {tuple(found[name])}, the configuration wants {leaf.shape}; "
-                "use the configuration that it was trained with"
-            )
-    for name in found:
-        if name not in wanted:
-            raise ValueError(
-                f"{source}: {name} is not part of this configuration's networks; "
-                "use the configuration that it was trained with"
-            )
 
 
 def _plain(state: TrainState) -> TrainState:

@@ -23,15 +23,17 @@ from flax import nnx
 from august_jax import config as configuration
 from august_jax import streams
 from august_jax.config import Config
-from august_jax.data.fields import Batch
 from august_jax.files import rename, write_text
 from august_jax.models import State
 from august_jax.progress import Progress, silent
 from august_jax.training.checkpoint import Checkpoints, save_weights, warm_start
-from august_jax.training.step import TrainState, compiled_step, initial_state
+from august_jax.training.step import ParameterLayout, TrainState, compiled_step, initial_state
 
-NextBatch = Callable[[int], Batch]
-"""Step (0 at first) -> batch; the same step gives the same batch."""
+NextBatch = Callable[[int], Any]
+"""Step (0 at first) -> batch, of what is trained; the same step gives the same batch."""
+
+Begin = Callable[[Config], tuple[ParameterLayout, TrainState]]
+"""Configuration -> what is trained, and its state before the first step."""
 
 Validate = Callable[[nnx.GraphDef, State, int], Mapping[str, float | int]]
 """(graphdef, averaged parameters, steps done) -> numbers to log."""
@@ -49,6 +51,8 @@ def train(
     validate: Validate | None = None,
     draw: Draw | None = None,
     weights: str | Path | None = None,
+    begin: Begin = initial_state,
+    weights_file: str = "weights.npz",
     progress: Progress = silent,
 ) -> TrainState:
     """Train to ``config.train.steps`` and return the last state.
@@ -65,6 +69,8 @@ def train(
         next_batch: must depend on the step alone, or a continued run sees other data.
         out_dir: made if missing.
         weights: another run's weights, from which a run that starts anew takes what fits.
+        begin: what is trained; the configuration's networks if left out.
+        weights_file: name of the file of weights in the folder.
         progress: takes lines of progress.
 
     Raises:
@@ -74,7 +80,7 @@ def train(
         FloatingPointError: the loss is not finite; names the step and the terms.
     """
     settings = config.train
-    layout, state = initial_state(config)
+    layout, state = begin(config)
     if weights is not None:  # before anything is written: it may not fit
         state, kept = warm_start(layout, state, weights)
     out = Path(out_dir)
@@ -101,7 +107,7 @@ def train(
             )
         metrics = out / "metrics.jsonl"
         if start == 0:
-            _set_aside(out, progress)
+            _set_aside(out, weights_file, progress)
         write_text(out / "config.yaml", configuration.to_yaml(config))
         _forget_after(metrics, start)
         waiting = pool.submit(next_batch, start) if start < settings.steps else Future()
@@ -126,7 +132,7 @@ def train(
             line["seconds_left"] = (settings.steps - done) * (now - began) / max(done - start - 1, 1)
             if saving:
                 averaged = layout.arrays(np.asarray(state.ema))
-                save_weights(out / "weights.npz", averaged)
+                save_weights(out / weights_file, averaged)
                 if validate is not None:
                     line |= validate(layout.graphdef, averaged, done)
             with metrics.open("a", encoding="utf-8") as file:
@@ -182,9 +188,9 @@ def _check_same_run(config: Config, path: Path) -> None:
             )
 
 
-def _set_aside(out: Path, progress: Progress) -> None:
+def _set_aside(out: Path, weights_file: str, progress: Progress) -> None:
     """Rename what a run without checkpoints left, to names that are free: it may be the only copy."""
-    names = ["weights.npz", "metrics.jsonl"]
+    names = [weights_file, "metrics.jsonl"]
     if (out / names[0]).exists():
         names.append("config.yaml")  # weights mean nothing without it
     found = [out / name for name in names if (out / name).exists()]

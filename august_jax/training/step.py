@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -85,6 +85,9 @@ class ParameterLayout:
         )
 
 
+L = TypeVar("L", bound=ParameterLayout)
+
+
 def optimizer(train: TrainConfig) -> optax.GradientTransformation:
     """Clip, then Adam with the learning rate falling linearly over ``train.steps``."""
     rate = optax.linear_schedule(*train.learning_rate, train.steps)
@@ -93,12 +96,17 @@ def optimizer(train: TrainConfig) -> optax.GradientTransformation:
 
 def initial_state(config: Config) -> tuple[ParameterLayout, TrainState]:
     """The networks' form, and the state before the first step, both from ``config.train.seed``."""
-    graphdef, arrays = create(config, config.train.seed)
+    return laid_out(ParameterLayout, config.train, *create(config, config.train.seed))
+
+
+def laid_out(kind: type[L], train: TrainConfig, graphdef: nnx.GraphDef, arrays: State) -> tuple[L, TrainState]:
+    """The form of networks that were split, as a ``kind`` that says what their loss is, and the state before the first
+    step."""
     leaves, structure = jax.tree.flatten(arrays)
     params = jnp.asarray(np.concatenate([np.ravel(leaf) for leaf in leaves]))
-    key = streams.key(config.train.seed, "train.step")
-    state = TrainState(params, jnp.copy(params), optimizer(config.train).init(params), jnp.zeros((), jnp.int32), key)
-    return ParameterLayout(graphdef, structure, tuple(leaf.shape for leaf in leaves)), state
+    key = streams.key(train.seed, "train.step")
+    state = TrainState(params, jnp.copy(params), optimizer(train).init(params), jnp.zeros((), jnp.int32), key)
+    return kind(graphdef, structure, tuple(leaf.shape for leaf in leaves)), state
 
 
 def train_step(

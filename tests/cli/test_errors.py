@@ -81,6 +81,15 @@ CASES = {
         "train --preset smoke --data {tmp}/here train.source=stream",
         ["--data", "{tmp}/here", "train.source=stream", "leave --data out"],
     ),
+    "data for a predictor": (
+        "train --target predictor --preset smoke --data {tmp}/here",
+        ["--data", "{tmp}/here", "flights", "leave --data out"],
+    ),
+    "no such target": ("train --target predictors", ["--target", "'predictors'", "networks", "predictor"]),
+    "no predictor to start from": (
+        "train --target predictor --preset smoke --init {tmp}/nowhere",
+        ["--init", "{tmp}/nowhere/predictor.npz", "august train --target predictor", "shipped"],
+    ),
     "a stream that is not observed anew": (
         "train --preset smoke train.source=stream train.reobserve=false data.observed=true",
         ["train.source", "stream", "train.reobserve=true"],

@@ -1,10 +1,12 @@
-"""``august train``: the networks, on a data set or on a stream of samples, continued where they were left."""
+"""``august train``: the networks, on a data set or on a stream of samples, or a predictor, on flights made for it;
+continued where they were left."""
 
 from __future__ import annotations
 
 import argparse
 import dataclasses
 import json
+import shlex
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -20,8 +22,17 @@ if TYPE_CHECKING:
     from august_jax.data import Batch, Dataset, Sample, StreamedBatches, TrainingBatches
 
 
+TARGETS = ("networks", "predictor")
+
+
 def _arguments(parser: argparse.ArgumentParser) -> None:
     parser.epilog = presets_help()
+    parser.add_argument(
+        "--target",
+        choices=TARGETS,
+        default=TARGETS[0],
+        help="networks (default), or predictor: the LSTM that corrects the Kalman filter, which needs no data",
+    )
     parser.add_argument(
         "--data",
         metavar="DIR",
@@ -33,6 +44,8 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(args: argparse.Namespace) -> dict[str, Any]:
+    if args.target == "predictor":
+        return _predictor(args)
     make: Callable[[Config], tuple[Callable[[int], Batch], Dataset | Sample]]
     if (
         any(text.startswith("train.source=") for text in args.overrides)
@@ -53,25 +66,66 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
     from august_jax.training.loop import train
 
     weights = pipeline.run_files(None if args.init == "shipped" else args.init)[1] if args.init else None
-    out = folder(args, f"august_runs/{config.preset}", configured=True)
+    out = _apart(folder(args, f"august_runs/{config.preset}", configured=True), "predictor.npz", "a predictor")
     batches, held_out = make(config)
     state = train(
         config, batches, out, validate=validator(held_out, config), draw=training_curves, weights=weights, progress=note
     )
-    metrics = out / "metrics.jsonl"
-    logged = metrics.read_text().splitlines() if metrics.exists() else []  # gone where nothing was left to train
-    last = json.loads(logged[-1]) if logged else {}
-    say(
-        args,
-        f"trained to step {int(state.step)}: "
-        + "  ".join(f"{name} {value:.4g}" for name, value in last.items() if name not in ("step", "seconds_left")),
-    )
+    last = _told(args, out, int(state.step))
     say(
         args,
         f"written to {out}/: weights.npz, config.yaml, metrics.jsonl, curves.png, checkpoints\n"
         f"next:  {command_line('evaluate', str(out), '--seed', '1')}",
     )
     return {"out": str(out), "metrics": last}
+
+
+def _predictor(args: argparse.Namespace) -> dict[str, Any]:
+    config = chosen_config(args)
+    if args.data:
+        raise ConfigError(
+            f"--data: {args.data}, but a predictor learns from flights that are made for it\nleave --data out"
+        )
+    from august_jax.app.plotting import training_curves
+    from august_jax.tracking.predictors.lstm import SHIPPED, WEIGHTS
+    from august_jax.training.predictor import train_predictor
+
+    weights = None
+    if args.init:
+        weights = (SHIPPED if args.init == "shipped" else Path(args.init)) / WEIGHTS
+        if not weights.is_file():
+            raise ConfigError(
+                f"--init: {weights} is not there; give what august train --target predictor wrote, or shipped"
+            )
+    default = f"august_runs/predictor_{config.preset}"
+    out = _apart(folder(args, default, configured=True), "weights.npz", "networks")
+    state = train_predictor(config, out, draw=training_curves, weights=weights, progress=note)
+    last = _told(args, out, int(state.step))
+    study = ["python", "experiments/prediction.py", "compute", "--run", str(out), "--results", f"{out}/prediction.npz"]
+    say(
+        args,
+        f"written to {out}/: {WEIGHTS}, config.yaml, metrics.jsonl, curves.png, checkpoints\n"
+        f"next:  {shlex.join(study)}\n"
+        f"or in Python: sense(..., predictor=KalmanLSTM.for_flight(config.flight, {str(out)!r}))",
+    )
+    return {"out": str(out), "metrics": last}
+
+
+def _apart(out: Path, mark: str, held: str) -> Path:
+    """``out``, refused where it holds what was trained for something else."""
+    if (out / mark).exists():
+        raise ConfigError(f"--out: {out} holds {held} ({mark}); choose another folder")
+    return out
+
+
+def _told(args: argparse.Namespace, out: Path, step: int) -> dict[str, Any]:
+    """The last numbers that were logged, after a line about them."""
+    metrics = out / "metrics.jsonl"
+    logged = metrics.read_text().splitlines() if metrics.exists() else []  # gone where nothing was left to train
+    last: dict[str, Any] = json.loads(logged[-1]) if logged else {}
+    shown = (f"{name} {value:.4g}" for name, value in last.items() if name not in ("step", "seconds_left"))
+    say(args, f"trained to step {step}: " + "  ".join(shown))
+    return last
 
 
 def _stored(args: argparse.Namespace) -> tuple[Dataset, Config]:
@@ -112,4 +166,4 @@ def _streamed(config: Config) -> tuple[StreamedBatches, Sample]:
     return made
 
 
-COMMAND = Command("train the networks on a data set, or on a stream", _arguments, _run)
+COMMAND = Command("train the networks on a data set or a stream, or a predictor", _arguments, _run)

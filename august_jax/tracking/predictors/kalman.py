@@ -45,13 +45,14 @@ class Kalman:
     Attributes:
         slot_s: time between estimates [s].
         noise_m: standard deviation of an estimate along each axis [m]; :meth:`update` takes a covariance as well.
-        jerk_density: J [m^2/s^5]; 1 for a gently flown multirotor, some 90 for an agile one.
+        jerk_density: J [m^2/s^5]; 1 for a gently flown multirotor, some 90 for an agile one. A filter of arrays () in
+            place of numbers may be mapped over; it is not hashable.
         velocity_m_s, acceleration_m_s2: standard deviations after the first estimate, at rest.
     """
 
     slot_s: float
-    noise_m: float = 0.05
-    jerk_density: float = 1.0
+    noise_m: ArrayLike = 0.05
+    jerk_density: ArrayLike = 1.0
     velocity_m_s: float = 5.0
     acceleration_m_s2: float = 3.0
 
