@@ -66,6 +66,7 @@ REFUSED = {
     "array.frequency_hz=011": "begins with a zero",
     "evaluate.snr_db=[3, 011]": "begins with a zero",
     "data.count=1:30": "base 60",
+    "model.scheme=NoEBD": "model.scheme: unknown value 'NoEBD'; did you mean 'noebd'",
     # out of bounds
     "train.steps=-1": "must lie in 1 to",
     "array.nx=0": "must lie in 1 to 4096",

@@ -125,8 +125,8 @@ def checked(hint: Any, value: Any, where: str) -> Any:
 
 
 def near(word: str, known: Sequence[str]) -> str:
-    """ "did you mean 'x'?" for the known word that is nearest, or nothing."""
-    found = difflib.get_close_matches(word, known, n=1)
+    """ "did you mean 'x'?" for the known word that is nearest, in small letters or as it is, or nothing."""
+    found = difflib.get_close_matches(word, known, n=1) or difflib.get_close_matches(word.lower(), known, n=1)
     return f"did you mean {found[0]!r}?" if found else ""
 
 

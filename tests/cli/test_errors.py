@@ -70,6 +70,8 @@ CASES = {
         ["data.observed", "data.observed=true"],
     ),
     "no such run": ("evaluate {tmp}/nowhere", ["{tmp}/nowhere", "august train"]),
+    "unknown scheme": ("evaluate --schemes august,polr", ["--schemes: unknown scheme 'polr'", "did you mean 'polar'?"]),
+    "no such run beside another": ("evaluate {tmp}/nowhere {tmp}/neither", ["{tmp}/nowhere", "august train"]),
     "no such run, as an option": ("evaluate --run {tmp}/nowhere", ["{tmp}/nowhere", "august train"]),
     "no such run for demo": ("demo --run {tmp}/nowhere", ["{tmp}/nowhere", "august train"]),
     "no such data": ("train --preset smoke --data {tmp}/nowhere", ["{tmp}/nowhere", "august simulate"]),

@@ -161,6 +161,20 @@ def test_evaluate_rows(capsys, home, monkeypatch, unchecked):
     assert (home / "evaluation" / "evaluation.png").is_file()
 
 
+def test_another_of_the_compared_networks_trains_and_stands_beside(capsys, home):
+    """By one override on the same data; its reference channels are made by table on the way."""
+    other = home / "reference"
+    call(capsys, "train", "--data", home / "data", "--out", other, "model.scheme=refchannel", *SMALL[4:])
+    logged = json.loads((other / "metrics.jsonl").read_text().splitlines()[-1])
+    assert 0.0 < logged["reference"] < 100.0
+    few = ["evaluate.count=4", "evaluate.snr_db=[20]", "--schemes", "prediction,august", "--out", home / "compared"]
+    result = call(capsys, "evaluate", home / "run", other, *few)
+    assert [row["scheme"] for row in result["rows"]] == ["august_roi", "refchannel_roi", "prediction"]
+    assert result["weights"] == {"august_roi": str(home / "run"), "refchannel_roi": str(other)}
+    assert len({row["mpe_m"] for row in result["rows"]}) == 3
+    assert (home / "compared" / "evaluation.png").is_file()
+
+
 def test_weights_refuse_another_configuration(capsys, home):
     assert "model.latent: 4" in refused(capsys, "evaluate", home / "run", "model.latent=4")
     assert "'smoke'" in refused(capsys, "evaluate", home / "run", "--preset", "laptop")
