@@ -102,12 +102,12 @@ def plan(chosen: Sequence[Figure], campaign: Campaign) -> list[Piece]:
         pieces.append(Piece(f"train {run.name}: {done} of {config.train.steps} steps", not left, seconds / 60.0,
                             0.0 if done else _RUN_MIB[preset]))  # fmt: skip
     for run in judged:
-        for searched in asked(preset, run, chosen):
-            slots = scale.count * len(scale.snr_db)
-            seconds = slots * _EVALUATE_S_PER_SLOT[preset] + _COMPILE_S[preset]
-            seconds += 7.0 * scale.searched * len(scale.snr_db) if searched else 0.0
-            pieces.append(Piece(f"evaluate {run.name}{', with the search' if searched else ''}",
-                                campaign.evaluated(run, searched), seconds / 60.0, 0.1))  # fmt: skip
+        searched = asked(preset, run, chosen)
+        slots = scale.count * len(scale.snr_db)
+        seconds = slots * _EVALUATE_S_PER_SLOT[preset] + _COMPILE_S[preset]
+        seconds += 7.0 * scale.searched * len(scale.snr_db) if searched else 0.0
+        what = f"evaluate {run.name}{', with the search' if searched else ''}"
+        pieces.append(Piece(what, campaign.evaluated(run, searched), seconds / 60.0, 0.1))
     for figure in chosen:
         share = scale.steps / SCALES["laptop"].steps if preset == "smoke" else 1.0
         pieces.append(Piece(f"figure {figure.name}", campaign.computed(figure.name),
@@ -138,8 +138,7 @@ def reproduce(chosen: Sequence[Figure], campaign: Campaign) -> None:
     for run in dict.fromkeys(run for figure in chosen for run, _ in figure.runs(preset)):
         campaign.networks(run)
     for run in dict.fromkeys(run for figure in chosen for run, rows in figure.runs(preset) if rows):
-        for searched in asked(preset, run, chosen):
-            campaign.rows(run, searched)
+        campaign.rows(run, asked(preset, run, chosen))
     for figure in chosen:
         paths = picture(figure, campaign, make(figure, campaign))
         campaign.progress(f"wrote {', '.join(map(str, paths))}")

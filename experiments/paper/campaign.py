@@ -298,20 +298,21 @@ class Campaign:
 
     def evaluated(self, run: Run, searched: bool = False) -> bool:
         """Whether the rows are on disk."""
-        return self._rows_path(run, searched).exists()
+        return self._rows_path(run, True).exists() or (not searched and self._rows_path(run, False).exists())
 
     def rows(self, run: Run, searched: bool = False) -> Rows:
         """Accuracy of a run's networks and of all other schemes on the same fresh slots.
 
         Args:
             run: the networks.
-            searched: whether the search among the known craft answers, too.
+            searched: whether the search among the known craft answers, too; where it has, its rows are there anyhow.
 
         Raises:
             OtherConfiguration: the rows are of another configuration.
             OutOfTime: the deadline has passed.
         """
         config = self.config(run)
+        searched = searched or self.evaluated(run, True)  # the same slots and more
         if searched:
             config = override(config, (f"evaluate.searched={self.scale.searched}",))
         path, digest = self._rows_path(run, searched), digest_of(config)

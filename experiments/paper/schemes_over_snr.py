@@ -21,14 +21,11 @@ def compared(preset: str) -> list[tuple[Run, bool]]:
     return [(run_of(preset, scheme, encoder), True) for encoder in SCALES[preset].encoders for scheme in NAMES]
 
 
-def asked(preset: str, run: Run, figures: Sequence[Figure]) -> list[bool]:
-    """Whether a run is evaluated with the search, without it, or, for several figures, both."""
-    wanted = set()
-    for figure in figures:
-        mine = [each for each, rows in figure.runs(preset) if rows]
-        if run in mine:
-            wanted.add(figure.runs is compared and run == mine[0] and SCALES[preset].searched > 0)
-    return sorted(wanted)
+def asked(preset: str, run: Run, figures: Sequence[Figure]) -> bool:
+    """Whether one of the figures asks for the search beside a run's networks."""
+    return SCALES[preset].searched > 0 and any(
+        figure.runs is compared and run == figure.runs(preset)[0][0] for figure in figures
+    )
 
 
 def compared_numbers(campaign: Campaign) -> Numbers:
