@@ -16,11 +16,11 @@ from august_jax.inference.population import Poses, log_mean_likelihood, mixture,
 from august_jax.inference.prior import TILT_BINS
 from august_jax.inference.refine import begin, cost, improved, polished
 from august_jax.inference.screen import attitude_lattice, moved_statistics, screen
-from august_jax.physics import Parameters, parameter_channel, rotation_from_vector
+from august_jax.physics import Parameters, body_channel, contrast, parameter_channel, rotation_from_vector
 from august_jax.physics.body.local import local_coefficients
 from august_jax.physics.body.survey import nearest_directions, surveyed_coefficients
 from august_jax.scene import random_rotation
-from august_jax.signal import Statistics, project
+from august_jax.signal import Statistics, observe_region, project
 from august_jax.signal.roi import change_of_centre
 
 SMOKE = preset("smoke")
@@ -395,6 +395,26 @@ def test_prior_adds_up_and_has_the_flights_tilts():
     assert known.tilt_density.shape == (TILT_BINS,)
     upside_down = jnp.asarray(np.diag([1.0, -1.0, -1.0]), jnp.float32)
     assert np.isneginf(known.log_tilt(upside_down))
+    degrees = float(np.degrees(known.tilt_rad)) + np.array([-0.01, 0.01, 0.5, 1.0, 2.0, 3.5])
+    beyond = np.zeros((len(degrees), 3, 3), np.float32)
+    beyond[:, 2, 2] = np.cos(np.radians(degrees))
+    values = np.asarray(known.log_tilt(jnp.asarray(beyond)))
+    assert abs(values[0] - values[1]) < 0.01 and np.all(np.diff(values[1:5]) < -0.4) and np.isneginf(values[5])
+    assert abs(values[3] - values[1] + 2.0) < 0.05  # two half degrees
+
+
+def test_a_craft_that_tilts_as_far_as_flights_do_is_found():
+    """Half of what the echo allows lies beyond the largest tilt."""
+    known, place = library(), jnp.asarray([4.5, 6.0, 3.2], jnp.float32)
+    rotation = rotation_from_vector(jnp.asarray([float(prior().tilt_rad), 0.0, 0.0]))
+    material = jnp.asarray(contrast(2.5, 5e-3, CONFIG.array.frequency_hz), jnp.complex64)
+    channel = body_channel(known.body(0), known.subspace.array, rotation, place, material)[None]
+    for seed in range(3):
+        seen = observe_region(jax.random.key(seed), channel, place + 0.1, array=CONFIG.array, signal=CONFIG.signal,
+                              region=CONFIG.region, snr_db=30.0)  # fmt: skip
+        found = find_craft(known, seen.statistics, prior(), key=jax.random.key(seed))
+        start, _ = refined(known, seen.statistics, prior(), 0, rotation, place, 2.5, 5e-3)
+        assert found.residual < float(start.residual[0]) + 1.0 and found.explained
 
 
 @pytest.mark.parametrize(

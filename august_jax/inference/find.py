@@ -234,7 +234,7 @@ def _check_held(library: Library, statistics: Statistics, prior: Prior) -> None:
 
 
 def _worth(found: Candidates, statistics: Statistics, prior: Prior, heat: float = 1.0) -> np.ndarray:
-    """Cost with the prior of the tilt, which steps do not know: what lies beyond the largest tilt is no explanation."""
+    """Cost with the prior of the tilt, which steps do not know: what lies far beyond the largest is no explanation."""
     costs, density = scored(found, statistics, prior, heat)
     most = float(np.max(np.log(np.asarray(prior.tilt_density))))
     return costs + np.minimum(most - density, 30.0) / heat
@@ -326,7 +326,7 @@ def _first(library, statistics, prior, modes, met, exact) -> tuple[Mixture, np.n
 
 
 def _least(modes: Candidates, statistics: Statistics, prior: Prior) -> float:
-    """The best residual; a tilt beyond the largest explains nothing."""
+    """The best residual; a tilt far beyond the largest explains nothing."""
     allowed = scored(modes, statistics, prior)[1] > -np.inf
     return float(np.min(modes.residual[allowed] if np.any(allowed) else modes.residual))
 

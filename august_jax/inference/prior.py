@@ -24,6 +24,7 @@ TILT_BINS = 64
 """Of equal width in the cosine, from level to the largest tilt."""
 _TURN_RAD = 0.5  # of a step's or a mode's attitude, where the echo says less
 _FLIGHTS = 512
+_EDGE_RAD, _EDGES = np.radians(0.5), 6.0  # of the tilt's density beyond the largest
 GAIN_DB = 1.0
 """Standard deviation to which the level of the gain is calibrated [dB], where nothing else is said."""
 
@@ -110,13 +111,18 @@ class Prior(NamedTuple):
                 )
 
     def log_tilt(self, rotation: Float[Array, "*n 3 3"]) -> Float[jax.Array, "*n"]:
-        """Log density of thrust axes per steradian: linear between the bins' middles, none beyond the largest tilt."""
+        """Log density of thrust axes per steradian: linear between the bins' middles; beyond the largest tilt it falls
+        off like a Gaussian of half a degree, and beyond three degrees there is none.
+
+        Flights turn by just the largest tilt for an eighth of their time. Where the density ended there, half of what
+        an echo allows about such an attitude would be cut off, and the best explanation with it.
+        """
         bins = self.tilt_density.shape[0]
         lowest = jnp.cos(self.tilt_rad)
         place = (1.0 - rotation[..., 2, 2]) / (1.0 - lowest) * bins - 0.5
-        inside = rotation[..., 2, 2] >= lowest - 1e-6
         values = jnp.interp(place, jnp.arange(bins), jnp.log(self.tilt_density))
-        return jnp.where(inside, values, -jnp.inf)
+        beyond = jnp.maximum(jnp.arccos(jnp.clip(rotation[..., 2, 2], -1.0, 1.0)) - self.tilt_rad, 0.0)
+        return jnp.where(beyond < _EDGES * _EDGE_RAD, values - 0.5 * (beyond / _EDGE_RAD) ** 2, -jnp.inf)
 
     def middle(self) -> tuple[jax.Array, jax.Array]:
         """Middle of the ranges of permittivity and of conductivity [S/m]."""
