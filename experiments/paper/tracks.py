@@ -3,7 +3,8 @@ dynamic one in a region of 2.5 m), and the errors of many.
 
     python experiments/paper/tracks.py compute|draw [--preset laptop]
 
-Networks find the craft in every slot, a Kalman filter over what they found says where to listen next. Three slots of a
+Networks find the craft in every slot; a Kalman filter over what they found, corrected by the shipped LSTM as the paper has
+it, says where to listen next. Three slots of a
 flight are begun with detections, which miss by up to the region's threshold; errors are counted from the fourth on.
 """
 
@@ -22,7 +23,7 @@ SNR_DB = 20.0
 SLOTS = 20
 FIRST = 3
 """Slots that detections begin."""
-PREDICTOR = "kalman"
+PREDICTOR = "lstm"
 
 
 def flights(preset: str) -> list[tuple[str, Run]]:
