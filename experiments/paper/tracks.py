@@ -3,9 +3,9 @@ dynamic one in a region of 2.5 m), and the errors of many.
 
     python experiments/paper/tracks.py compute|draw [--preset laptop]
 
-Networks find the craft in every slot; a Kalman filter over what they found, corrected by the shipped LSTM as the paper has
-it, says where to listen next. Three slots of a
-flight are begun with detections, which miss by up to the region's threshold; errors are counted from the fourth on.
+Networks find the craft in every slot; a Kalman filter over what they found, corrected by the shipped LSTM as the paper
+has it, says where to listen next. Three slots of a flight are begun with detections, which miss by up to the region's
+threshold; errors are counted from the fourth on.
 """
 
 from __future__ import annotations
