@@ -123,7 +123,8 @@ def test_bad_input_is_refused_helpfully(capsys, tmp_path, monkeypatch, name):
     assert 1 <= len(err.strip().splitlines()) <= 6, err
     assert "Traceback" not in err
     for text in wanted:
-        assert text.format(tmp=tmp_path) in err
+        # long paths break lines elsewhere on every machine
+        assert text.format(tmp=tmp_path) in err or text.format(tmp=tmp_path) in " ".join(err.split())
     assert not list(tmp_path.iterdir())
 
 
