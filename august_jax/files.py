@@ -18,6 +18,14 @@ class DamagedFile(ValueError):
     """A file is there but cannot be read as what it should be."""
 
 
+def cache_folder() -> Path:
+    """Where bodies, tables and compiled programs are kept: ``$AUGUST_CACHE``, else ``august_jax`` in the user's cache."""
+    named = os.environ.get("AUGUST_CACHE")
+    if named:
+        return Path(named)
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "august_jax"
+
+
 @contextmanager
 def naming(path: str | Path) -> Iterator[None]:
     """Errors of writing within, of which Python names no file, name this one: a full disk is somebody's to clear."""

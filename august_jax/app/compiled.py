@@ -8,59 +8,44 @@ keeps nothing.
 
 from __future__ import annotations
 
-import hashlib
 import os
-import platform
 import sys
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
 
-from august_jax.physics import cache_folder
+from august_jax.app.machine import processor_mark
+from august_jax.files import cache_folder
 
-__all__ = ["compiled_folder", "keep_compiled"]
+__all__ = ["keep_compiled"]
 
 _LEAST_S = 0.1
 """What compiles faster is not kept: reading it back takes as long."""
 _MOST_BYTES = 1 << 30
 _PART = 0.8
-
-
-def compiled_folder() -> Path:
-    """Where this machine's compiled programs are kept: a folder of its own in :func:`cache_folder`, by processor and
-    release of jaxlib."""
-    import jaxlib
-
-    return cache_folder() / "compiled" / f"{jaxlib.__version__}-{hashlib.sha256(_processor()).hexdigest()[:12]}"
-
-
-def _processor() -> bytes:
-    """What tells processors apart that run different instructions; where nothing does, the machine's own name."""
-    told = f"{platform.system()} {platform.machine()} "
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-    except OSError:
-        return (told + platform.processor() + platform.node()).encode()
-    wanted = ("model name", "flags", "Features", "CPU part")
-    return (told + "\n".join(sorted({line for line in lines if line.startswith(wanted)}))).encode()
+_YES = ("y", "yes", "t", "true", "on", "1")
+"""What JAX takes for yes."""
 
 
 def keep_compiled() -> Path | None:
     """Let JAX keep what takes long to compile, and read it back in later processes.
 
+    JAX is told by its variables, which it reads when it is imported: a command that refuses its input answers without.
+
     Returns:
-        The folder; None where JAX is left as it is: the user has said where, or that nothing is to be kept, the folder
-        cannot be written, or programs read back are known to end the process (macOS before jaxlib 0.10).
+        The folder; None where JAX is left as it is: it is imported already, the user has said where, or that nothing is
+        to be kept, the folder cannot be written, or programs read back are known to end the process (macOS before
+        jaxlib 0.10).
     """
-    import jax
-
-    settings: Any = jax.config  # its attributes come to be when JAX is imported
-    if settings.jax_compilation_cache_dir or not settings.jax_enable_compilation_cache:
+    wanted = os.environ.get("JAX_ENABLE_COMPILATION_CACHE", "true").lower() in _YES
+    if "jax" in sys.modules or os.environ.get("JAX_COMPILATION_CACHE_DIR") or not wanted:
         return None
-    import jaxlib
-
-    if sys.platform == "darwin" and tuple(map(int, jaxlib.__version__.split(".")[:2])) < (0, 10):
+    try:
+        release = version("jaxlib")
+    except PackageNotFoundError:  # importing JAX says so better
         return None
-    folder = compiled_folder()
+    if sys.platform == "darwin" and tuple(map(int, release.split(".")[:2])) < (0, 10):
+        return None
+    folder = cache_folder() / "compiled" / f"{release}-{processor_mark()}"
     try:
         folder.mkdir(parents=True, exist_ok=True)
         _make_room(folder)
@@ -68,8 +53,8 @@ def keep_compiled() -> Path | None:
         return None
     if not os.access(folder, os.W_OK):
         return None
-    jax.config.update("jax_compilation_cache_dir", str(folder))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", _LEAST_S)
+    os.environ["JAX_COMPILATION_CACHE_DIR"] = str(folder)
+    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", str(_LEAST_S))
     return folder
 
 

@@ -9,9 +9,9 @@ import pytest
 from august_jax.app import compiled
 
 PROGRAM = """
-import jax, jax.numpy as jnp
 from august_jax.app.compiled import keep_compiled
 print(keep_compiled())
+import jax, jax.numpy as jnp
 def slow(x):  # to compile
     for _ in range(60):
         x = jnp.sort(jnp.sin(x) + x[::-1])

@@ -49,7 +49,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             return 0
         with warnings.catch_warnings():
             warnings.showwarning = lambda message, *_: note(f"august: note: {message}")
-            from august_jax.app.compiled import keep_compiled  # with JAX, which --help does without
+            from august_jax.app.compiled import keep_compiled  # with NumPy, which --help does without
 
             keep_compiled()
             result = COMMANDS[args.command].run(args)

@@ -1,8 +1,8 @@
 """Rigid bodies whose coupled system is factored once and serves every pose and material."""
 
+from august_jax.files import cache_folder
 from august_jax.physics.body.aperture import aperture_skeleton
 from august_jax.physics.body.body import Body, alike, body_channel, judge_contrast
-from august_jax.physics.body.cache import cache_folder
 from august_jax.physics.body.factor import factor_bodies, factor_body
 
 __all__ = [

@@ -3,25 +3,15 @@
 from __future__ import annotations
 
 import hashlib
-import os
 import warnings
 from collections.abc import Callable, Iterable
-from pathlib import Path
 
 import numpy as np
 
-from august_jax.files import DamagedFile, read_npz, replacing
+from august_jax.files import DamagedFile, cache_folder, read_npz, replacing
 
 Factors = dict[str, np.ndarray]
 _FORMAT = "body-7"
-
-
-def cache_folder() -> Path:
-    """Where factored bodies are kept: ``$AUGUST_CACHE``, else ``august_jax`` in the user's cache folder."""
-    named = os.environ.get("AUGUST_CACHE")
-    if named:
-        return Path(named)
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "august_jax"
 
 
 def cached(key: Iterable[np.ndarray | float | None], names: tuple[str, ...], make: Callable[[], Factors]) -> Factors:
