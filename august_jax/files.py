@@ -19,7 +19,7 @@ class DamagedFile(ValueError):
 
 
 def cache_folder() -> Path:
-    """Where bodies, tables and compiled programs are kept: ``$AUGUST_CACHE``, else ``august_jax`` in the user's cache."""
+    """Where bodies, tables and programs are kept: ``$AUGUST_CACHE``, else ``august_jax`` in the user's cache folder."""
     named = os.environ.get("AUGUST_CACHE")
     if named:
         return Path(named)

@@ -15,7 +15,7 @@ import numpy as np
 
 from august_jax import streams
 from august_jax.config import Config
-from august_jax.data import Sample, Target, generate, unpack
+from august_jax.data import Sample, Target, fresh_samples, unpack
 from august_jax.data.fields import pack
 from august_jax.data.observe import draw_prediction
 from august_jax.data.simulator import simulated_channel
@@ -29,9 +29,8 @@ SEED = 1
 
 def fresh(config: Config, targets: Sequence[Target], count: int) -> Sample:
     """``count`` samples, each from its own flight, as an evaluation draws them; craft take turns."""
-    numbers, slots = np.arange(count), config.flight.slots
-    flown = replace(config, data=replace(config.data, observed=False, solver="mom"))
-    return generate(flown, numbers * slots + numbers % slots, targets, seed=SEED, domain="evaluate")
+    flown = replace(config, data=replace(config.data, solver="mom"))
+    return fresh_samples(flown, np.arange(count), targets, seed=SEED, domain="evaluate")
 
 
 def heard_elsewhere(samples: Sample, config: Config, targets: Sequence[Target], farther: float) -> Sample:

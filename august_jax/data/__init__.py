@@ -2,7 +2,7 @@
 
 from august_jax.data.dataset import SPLITS, Dataset, TrainingBatches
 from august_jax.data.fields import Batch, Observed, Sample, pack, unpack
-from august_jax.data.generate import generate, split_of
+from august_jax.data.generate import fresh_samples, generate, split_of
 from august_jax.data.observe import as_observed, batch_of, observed_anew
 from august_jax.data.reference import reference_channels
 from august_jax.data.shards import DataError, bytes_of, read_manifest, simulate
@@ -37,6 +37,7 @@ __all__ = [
     "channels_along",
     "check_table",
     "contrast_of",
+    "fresh_samples",
     "generate",
     "lattice_of",
     "lattices_of",

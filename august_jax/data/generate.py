@@ -11,6 +11,7 @@ Rows of one airframe are computed together, ``_BATCH`` at a time, through that a
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Literal
 
@@ -100,6 +101,20 @@ def generate(
                 store[batch] = np.asarray(value)[: len(batch)]
     counted = {"airframe": craft, "flight": rows // slots, "slot": slot}
     return Sample.of_columns(known | {name: value.astype(np.int32) for name, value in counted.items()} | drawn)
+
+
+def fresh_samples(
+    config: Config,
+    flights: Int[np.ndarray, " n"],
+    targets: Sequence[Target],
+    *,
+    seed: int,
+    domain: Literal["evaluate", "validation"],
+) -> Sample:
+    """One sample of each of these flights (n,), slots and craft in turn, not observed; arguments as of
+    :func:`generate`."""
+    unheard, slots = replace(config, data=replace(config.data, observed=False)), config.flight.slots
+    return generate(unheard, flights * slots + flights % slots, targets, seed=seed, domain=domain)
 
 
 @partial(jax.jit, static_argnames="config")

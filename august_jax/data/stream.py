@@ -25,7 +25,7 @@ from august_jax import streams
 from august_jax.arrays import Array
 from august_jax.config import Config
 from august_jax.data.fields import Batch, Sample
-from august_jax.data.generate import generate
+from august_jax.data.generate import fresh_samples
 from august_jax.data.observe import draw_level, draw_prediction
 from august_jax.data.reference import TOGETHER, heard_by_table, reference_channels
 from august_jax.data.simulator import Target, prepare_targets, tables_of
@@ -78,11 +78,8 @@ def open_stream(config: Config, progress: Progress = silent) -> tuple[StreamedBa
     """
     targets = prepare_targets(replace(config, data=replace(config.data, solver="table")), progress)
     progress(f"simulating {_VALIDATED} samples for validation ({config.data.solver})")
-    numbers, slots = np.arange(_VALIDATED), config.flight.slots
     asked = targets if config.data.solver == "table" else [replace(target, table=None) for target in targets]
-    unheard = replace(config, data=replace(config.data, observed=False))
-    rows = numbers * slots + numbers % slots
-    samples = generate(unheard, rows, asked, seed=config.train.seed, domain="validation")
+    samples = fresh_samples(config, np.arange(_VALIDATED), asked, seed=config.train.seed, domain="validation")
     return StreamedBatches(config, targets), samples
 
 

@@ -20,7 +20,7 @@ from flax import nnx
 from august_jax import streams
 from august_jax.config import Config, ConfigError, check_weights
 from august_jax.config.fields import near
-from august_jax.data import Dataset, Sample, Target, batch_of, generate, observed_anew, prepare_targets
+from august_jax.data import Dataset, Sample, Target, batch_of, fresh_samples, observed_anew, prepare_targets
 from august_jax.evaluation import metrics
 from august_jax.evaluation.bound import Bound
 from august_jax.evaluation.score import Row, score
@@ -87,12 +87,10 @@ def evaluate(
     chosen = _chosen(schemes)
     several = _fitted(networks, config)
     config = next(iter(several.values())).config
-    count, slots = config.evaluate.count, config.flight.slots
+    count = config.evaluate.count
     targets = prepare_targets(config, progress)
     progress(f"simulating {count} samples")
-    numbers = np.arange(count)
-    fresh = replace(config, data=replace(config.data, observed=False))
-    samples = generate(fresh, numbers * slots + numbers % slots, targets, seed=seed, domain="evaluate")
+    samples = fresh_samples(config, np.arange(count), targets, seed=seed, domain="evaluate")
     airframes = [target.airframe for target in targets]
     resampled = _resampled(streams.key(seed, "evaluate.resampling"), samples, airframes, config.target.points)
     clouds = samples.points + samples.position[:, None]

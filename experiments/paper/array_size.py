@@ -6,7 +6,9 @@ python experiments/paper/array_size.py compute|draw [--preset laptop]
 from __future__ import annotations
 
 from campaign import SCALES, Campaign, Numbers, Run, run_of
-from figure import INK, PAGE_IN, Figure, columns, empty, legend_below, main, over_snr
+from figure import INK, PAGE_IN, Figure, columns, legend_below, main, over_snr
+
+from august_jax.app.plotting import new_figure
 
 
 def runs(preset: str) -> list[tuple[Run, bool]]:
@@ -23,7 +25,7 @@ def draw(numbers: Numbers):
     """The weighted distance, and the position error in it."""
     own = [name for name in dict.fromkeys(map(str, numbers["line"])) if name.startswith("august-")]
     lines = {name: (f"{name.split('-')[2]} antennas", INK[number], "-") for number, name in enumerate(own)}
-    drawn = empty(PAGE_IN, 3.0)
+    drawn = new_figure(PAGE_IN, 3.0)
     first, second = drawn.subplots(1, 2)
     over_snr(first, numbers, "wd_db", lines, error="wd_se_db", logarithmic=False)
     over_snr(second, numbers, "mpe_m", lines, error="mpe_se_m")

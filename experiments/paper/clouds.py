@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from campaign import Campaign, Numbers, Run
-from figure import PAGE_IN, empty
-from looked import clear_programs, look, scattered
+from figure import PAGE_IN
+from looked import look, scattered
 
+from august_jax.app.plotting import new_figure
 from august_jax.evaluation import metrics
 
 ROWS = (1, 2)
@@ -29,7 +31,7 @@ def clouds_of(campaign: Campaign, runs: Sequence[Run], labels: Sequence[str], sn
             seen = look(campaign, run, ROWS, snr_db)
             told.append(f"{label}, {snr_db:g} dB")
             parts.append(seen)
-        clear_programs()
+        jax.clear_caches()
     points = np.stack([part.clouds[0] for part in parts])
     truth = parts[0].truth
     chamfer = [
@@ -52,7 +54,7 @@ def clouds_of(campaign: Campaign, runs: Sequence[Run], labels: Sequence[str], sn
 def clouds_drawn(numbers: Numbers, material: str):
     """A row a slot: the truth, then each cloud with its position error and Chamfer distance; coloured by a material."""
     slots, across = len(numbers["truth_m"]), len(numbers["label"]) + 1
-    drawn = empty(PAGE_IN, 1.75 * slots + 0.2)
+    drawn = new_figure(PAGE_IN, 1.75 * slots + 0.2)
     reach = 1.4 * float(np.abs(numbers["truth_m"]).max())
     true, found = numbers[f"true_{material}"], numbers[material]
     limits = (float(min(true.min(), np.quantile(found, 0.02))), float(max(true.max(), np.quantile(found, 0.98))))

@@ -8,7 +8,8 @@ from __future__ import annotations
 from campaign import SCALES, Campaign, Numbers, Run, run_of
 from clouds import clouds_drawn, clouds_of
 from figure import Figure, main
-from schemes_over_snr import NAMES
+
+from august_jax.schemes.networks import TITLES
 
 SNRS_DB = (20.0,)
 
@@ -16,13 +17,13 @@ SNRS_DB = (20.0,)
 def runs(preset: str) -> list[tuple[Run, bool]]:
     """Every scheme at the second array, with our encoder."""
     array = SCALES[preset].arrays[1]
-    return [(run_of(preset, scheme, "roi", array), False) for scheme in NAMES]
+    return [(run_of(preset, scheme, "roi", array), False) for scheme in TITLES]
 
 
 def compute(campaign: Campaign) -> Numbers:
     """Clouds and their errors."""
     mine = [run for run, _ in runs(campaign.preset)]
-    return clouds_of(campaign, mine, [NAMES[run.name.partition("-")[0]] for run in mine], SNRS_DB)
+    return clouds_of(campaign, mine, [TITLES[run.name.partition("-")[0]] for run in mine], SNRS_DB)
 
 
 def draw(numbers: Numbers):

@@ -10,8 +10,10 @@ from __future__ import annotations
 
 import numpy as np
 from campaign import Campaign, Numbers, Run, run_of
-from figure import PAGE_IN, Figure, empty, main
+from figure import PAGE_IN, Figure, main
 from looked import look, scattered
+
+from august_jax.app.plotting import new_figure
 
 SHARES = (0.0, 0.4, 0.75, 0.9, 1.0)
 """Of the steps at which clouds are shown; the paper's 0, 80, 150, 180 and 200 of 200."""
@@ -44,7 +46,7 @@ def compute(campaign: Campaign) -> Numbers:
 
 def draw(numbers: Numbers):
     """Clouds in a row, the truth last."""
-    drawn = empty(PAGE_IN, 1.9)
+    drawn = new_figure(PAGE_IN, 1.9)
     reach = float(np.abs(numbers["truth_m"]).max()) * 2.5
     limits = (1.0, float(max(numbers["true_permittivity"].max(), 5.0)))
     count = len(numbers["instants"])

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,7 +17,6 @@ import numpy as np
 from campaign import RESULTS, SCALES, Campaign, Numbers, OtherConfiguration, Rows, Run, digest_of
 from matplotlib.ticker import NullFormatter
 
-from august_jax.app.plotting import new_figure
 from august_jax.files import replacing
 
 if TYPE_CHECKING:
@@ -162,6 +161,12 @@ def columns(labelled: Iterable[tuple[str, Rows]]) -> Numbers:
     return numbers
 
 
+def stacked(name: str, parts: Mapping[Any, Numbers]) -> Numbers:
+    """:func:`columns` of several cases one after the other, with a column ``name`` that says which case."""
+    own = [part | {name: np.full(len(part["line"]), case)} for case, part in parts.items()]
+    return {column: np.concatenate([part[column] for part in own]) for column in own[0]}
+
+
 def over_snr(
     axes: Axes,
     numbers: Numbers,
@@ -216,11 +221,6 @@ def plain(axes: Axes) -> None:
     axes.grid(True, which="major", lw=0.4, color="0.88")
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
-
-
-def empty(width_in: float, height_in: float) -> Picture:
-    """A figure of that size [inch]."""
-    return new_figure(width_in, height_in)
 
 
 def legend_below(drawn: Picture, columns: int) -> None:

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from campaign import SEED, Campaign, Run
@@ -14,7 +12,7 @@ from figure import plain
 
 from august_jax import streams
 from august_jax.config import Config
-from august_jax.data import Sample, generate, observed_anew, prepare_targets
+from august_jax.data import Sample, fresh_samples, observed_anew, prepare_targets
 from august_jax.scene.cloud import from_cloud
 
 
@@ -32,10 +30,7 @@ class Looked(NamedTuple):
 
 def fresh(config: Config, rows: Sequence[int]) -> Sample:
     """Slots that no training has seen; the same for the same seed."""
-    targets = prepare_targets(config)
-    numbers, slots = np.asarray(rows), config.flight.slots
-    unheard = replace(config, data=replace(config.data, observed=False))
-    return generate(unheard, numbers * slots + numbers % slots, targets, seed=SEED, domain="evaluate")
+    return fresh_samples(config, np.asarray(rows), prepare_targets(config), seed=SEED, domain="evaluate")
 
 
 @streams.pin
@@ -99,8 +94,3 @@ def scattered(figure, where, points, values, limits, reach_m: float, title: str,
         axis.set_ticks([-tick, 0.0, tick])
     axes.set_title(title, fontsize=7)
     return shown
-
-
-def clear_programs() -> None:
-    """Forget what is compiled: the next networks have their own."""
-    jax.clear_caches()

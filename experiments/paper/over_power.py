@@ -13,10 +13,11 @@ from typing import NamedTuple
 import jax
 import numpy as np
 from campaign import SEED, Campaign, Numbers, Run
-from figure import INK, MARKS, PAGE_IN, Clock, empty, legend_below, plain
-from looked import clear_programs, fresh
+from figure import INK, MARKS, PAGE_IN, Clock, legend_below, plain
+from looked import fresh
 
 from august_jax import streams
+from august_jax.app.plotting import new_figure
 from august_jax.config import Config, override
 from august_jax.data import Sample, observed_anew
 from august_jax.evaluation import metrics
@@ -65,7 +66,7 @@ def over_power(campaign: Campaign, cases: Sequence[Case], count: int) -> Numbers
             found[-1].append(_errors(networks, config, samples, batch))
         deaf.append((float(metrics.mpe_m(batch.predicted, samples.position)), _anew(samples)))
         campaign.progress(f"{case.label}: {count} slots at {len(powers)} powers  {clock.left()}")
-        clear_programs()
+        jax.clear_caches()
     names = ("snr_db", "wd_db", "wd_se_db", "mcd_db", "mpe_m", "mpe_se_m")
     values = np.array(found)
     return {
@@ -112,7 +113,7 @@ def _anew(samples: Sample) -> float:
 
 def drawn_over_power(numbers: Numbers):
     """The weighted distance and the position error, a line a case."""
-    drawn = empty(PAGE_IN, 3.1)
+    drawn = new_figure(PAGE_IN, 3.1)
     first, second = drawn.subplots(1, 2)
     power = numbers["power_dbm"]
     for row, label in enumerate(numbers["label"]):

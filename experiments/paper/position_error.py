@@ -6,13 +6,15 @@ python experiments/paper/position_error.py compute|draw [--preset laptop]
 from __future__ import annotations
 
 from campaign import Numbers
-from figure import COLUMN_IN, Figure, empty, legend_below, main, over_snr
+from figure import COLUMN_IN, Figure, legend_below, main, over_snr
 from schemes_over_snr import compared, compared_lines, compared_numbers
+
+from august_jax.app.plotting import new_figure
 
 
 def draw(numbers: Numbers):
     """One panel."""
-    drawn = empty(COLUMN_IN, 3.9)
+    drawn = new_figure(COLUMN_IN, 3.9)
     axes = drawn.add_subplot()
     over_snr(axes, numbers, "mpe_m", compared_lines(numbers), error="mpe_se_m", bound="bound_m")
     axes.set_ylabel("mean position error [m]")

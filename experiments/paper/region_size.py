@@ -10,7 +10,9 @@ from __future__ import annotations
 
 import numpy as np
 from campaign import SCALES, Campaign, Numbers, Run, run_of
-from figure import INK, PAGE_IN, Figure, columns, empty, legend_below, main, over_snr, plain
+from figure import INK, PAGE_IN, Figure, columns, legend_below, main, over_snr, plain, stacked
+
+from august_jax.app.plotting import new_figure
 
 
 def runs(preset: str) -> list[tuple[Run, bool]]:
@@ -21,16 +23,18 @@ def runs(preset: str) -> list[tuple[Run, bool]]:
 
 def compute(campaign: Campaign) -> Numbers:
     """Accuracy, region by region."""
-    parts = []
-    for run, _ in runs(campaign.preset):
-        part = columns([("august", campaign.rows(run))])
-        parts.append(part | {"scale_m": np.full(len(part["line"]), campaign.config(run).region.scale_m)})
-    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    return stacked(
+        "scale_m",
+        {
+            campaign.config(run).region.scale_m: columns([("august", campaign.rows(run))])
+            for run, _ in runs(campaign.preset)
+        },
+    )
 
 
 def draw(numbers: Numbers):
     """The weighted distance, and how much of the prediction's error is left."""
-    drawn = empty(PAGE_IN, 3.0)
+    drawn = new_figure(PAGE_IN, 3.0)
     first, second = drawn.subplots(1, 2)
     for number, scale in enumerate(np.unique(numbers["scale_m"])):
         mine = {name: values[numbers["scale_m"] == scale] for name, values in numbers.items()}

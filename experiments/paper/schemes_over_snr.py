@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from campaign import SCALES, Campaign, Numbers, Run, run_of
 from figure import INK, Figure, columns
 
-NAMES = {"august": "AUGUST", "noebd": "NoEBD", "nolatent": "NoLatent", "refchannel": "RefChannel-Diff"}
+from august_jax.schemes.networks import TITLES
+
 ENCODERS = {"roi": ("our encoder", "-"), "paper": ("the paper's", "--")}
 OTHERS = {
     "polar": ("model-based, polar domain", "#000000", "-"),
@@ -18,7 +19,7 @@ OTHERS = {
 
 def compared(preset: str) -> list[tuple[Run, bool]]:
     """Every scheme with every encoder, at the largest array; the first run is asked for the search, too."""
-    return [(run_of(preset, scheme, encoder), True) for encoder in SCALES[preset].encoders for scheme in NAMES]
+    return [(run_of(preset, scheme, encoder), True) for encoder in SCALES[preset].encoders for scheme in TITLES]
 
 
 def asked(preset: str, run: Run, figures: Sequence[Figure]) -> bool:
@@ -42,5 +43,5 @@ def compared_lines(numbers: Numbers) -> dict[str, tuple[str, str, str]]:
         scheme, _, rest = name.partition("-")
         if rest:
             told, style = ENCODERS[rest.partition("-")[0]]
-            lines[name] = (f"{NAMES[scheme]}, {told}", INK[list(NAMES).index(scheme)], style)
+            lines[name] = (f"{TITLES[scheme]}, {told}", INK[list(TITLES).index(scheme)], style)
     return lines | OTHERS

@@ -9,13 +9,15 @@ stands the latter alone, which says what is left of the shape.
 from __future__ import annotations
 
 from campaign import Numbers
-from figure import PAGE_IN, Figure, empty, legend_below, main, over_snr
+from figure import PAGE_IN, Figure, legend_below, main, over_snr
 from schemes_over_snr import compared, compared_lines, compared_numbers
+
+from august_jax.app.plotting import new_figure
 
 
 def draw(numbers: Numbers):
     """The weighted distance, and shapes about their own means."""
-    drawn = empty(PAGE_IN, 3.4)
+    drawn = new_figure(PAGE_IN, 3.4)
     for axes, metric, label, error in zip(
         drawn.subplots(1, 2),
         ("wd_db", "mcd_db"),

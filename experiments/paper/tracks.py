@@ -10,11 +10,12 @@ threshold; errors are counted from the fourth on.
 
 from __future__ import annotations
 
+import jax
 import numpy as np
 from campaign import SCALES, SEED, Campaign, Numbers, Run, run_of
-from figure import INK, PAGE_IN, Clock, Figure, empty, main, plain
-from looked import clear_programs
+from figure import INK, PAGE_IN, Clock, Figure, main, plain
 
+from august_jax.app.plotting import new_figure
 from august_jax.config import override
 from august_jax.pipeline import draw_scenario, sense
 from august_jax.tracking import PREDICTORS
@@ -61,7 +62,7 @@ def compute(campaign: Campaign) -> Numbers:
             left = clock.left()
             if (number + 1) % 10 == 0 or number + 1 == count:
                 campaign.progress(f"{style}: {number + 1} of {count} flights  {left}")
-        clear_programs()
+        jax.clear_caches()
     values = np.array(errors)
     return {
         "label": np.array(told),
@@ -75,7 +76,7 @@ def compute(campaign: Campaign) -> Numbers:
 def draw(numbers: Numbers):
     """The first flight of each kind from above and by height, and the distributions."""
     kinds, first = len(numbers["label"]), int(numbers["first"])
-    drawn = empty(PAGE_IN, 2.5 * kinds)
+    drawn = new_figure(PAGE_IN, 2.5 * kinds)
     grid = drawn.subplots(kinds, 3, squeeze=False)
     for (above, height, share), label, places, predicted, estimated in zip(
         grid, numbers["label"], numbers["places_m"], numbers["predicted_m"], numbers["estimated_m"]
