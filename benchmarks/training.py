@@ -1,17 +1,25 @@
-"""Training on a stream against training on a data set: samples a second, in turn, and what a streamed batch takes.
+"""Training steps: on a stream against on a data set, and against the same networks in PyTorch.
 
     python benchmarks/training.py --json training.json
     python benchmarks/training.py --preset smoke --steps 4 --repeats 1       a minute, to see that it runs
+    python benchmarks/training.py --parts torch --preset paper train.batch=32
 
-Both train the same networks of a preset with the same batch, in the same process, in turn; the figures are medians over
-the stretches of ``--steps`` steps, compiling and saving left out. The data set is made by table, so that it takes
-seconds, and is read from the system's cache of files, as after the first epoch of any set that fits the memory. The
-first run factors and tabulates the bodies: minutes, told apart as ``preparing``.
+``stream`` trains the same networks of a preset with the same batch, in the same process, in turn; the figures are
+medians over the stretches of ``--steps`` steps, compiling and saving left out. The data set is made by table, so that
+it takes seconds, and is read from the system's cache of files, as after the first epoch of any set that fits the
+memory. The first run factors and tabulates the bodies: minutes, told apart as ``preparing``.
+
+``torch`` makes steps on one made-up batch with the paper's networks at the preset's widths (encoder ``paper``, frame
+``region``, no readout), in turn with the same networks, parameters, optimiser and moving average in PyTorch, eager
+(`torch_august.py`). Beside the ratio stand how far their losses and gradients lie apart on the same draws, and the
+share of the machine's matrix-product rate: multiplications and additions of the layers, three passes a step. PyTorch is
+no dependency: `pip install torch` adds this part, without it it is left out.
 """
 
 from __future__ import annotations
 
 import argparse
+import importlib.util
 import json
 import tempfile
 import time
@@ -21,10 +29,18 @@ from pathlib import Path
 import jax
 import numpy as np
 from common import Figures, machine, medians, parsed, write
+from flax import nnx
 
-from august_jax.config import override, preset
+from august_jax import streams
+from august_jax.config import Config, override, preset
 from august_jax.data import Dataset, StreamedBatches, TrainingBatches, prepare_targets, simulate
+from august_jax.data.fields import Batch
+from august_jax.models import August
 from august_jax.training import train
+from august_jax.training.step import ParameterLayout, compiled_step, laid_out
+
+PEER = importlib.util.find_spec("torch") is not None
+PARTS = ("stream", "torch")
 
 
 def speed(config, batches, steps: int) -> list[float]:
@@ -36,32 +52,27 @@ def speed(config, batches, steps: int) -> list[float]:
     return [json.loads(line)["samples_per_s"] for line in lines]
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--preset", default="laptop")
-    parser.add_argument("--steps", type=int, default=20, help="of a stretch")
-    parser.add_argument("--repeats", type=int, default=3, help="runs of three stretches, of either kind")
-    args = parsed(parser)
-    figures: Figures = {"machine": machine(), "preset": args.preset}
-    config = override(preset(args.preset), ["data.solver=table", "train.reobserve=true"])
+def stream_against_stored(config: Config, steps: int, repeats: int) -> Figures:
+    """Samples a second of both, and what making a batch takes."""
+    config = override(config, ["data.solver=table", "train.reobserve=true"])
     config = replace(config, data=replace(config.data, count=max(20 * config.train.batch, 100), observed=False))
     streamed = override(config, ["train.source=stream"])
     start = time.perf_counter()
     targets = prepare_targets(streamed)
     stream = StreamedBatches(streamed, targets)
-    figures["preparing_s"] = time.perf_counter() - start
+    figures: Figures = {"preparing_s": time.perf_counter() - start}
     figures["table_errors"] = [np.asarray(target.table.errors).tolist() for target in targets if target.table]
     with tempfile.TemporaryDirectory() as folder:
         simulate(config, folder)
         stored = TrainingBatches(Dataset(folder), config)
-        steps = iter(range(10**6))
+        numbers = iter(range(10**6))
         makers = {"stored": stored, "stream": stream}
-        calls = {name: (lambda make=make: jax.tree.leaves(make(next(steps)))) for name, make in makers.items()}
-        figures["batch_s"] = medians(calls, 5 * args.repeats)
+        calls = {name: (lambda make=make: jax.tree.leaves(make(next(numbers)))) for name, make in makers.items()}
+        figures["batch_s"] = medians(calls, 5 * repeats)
         found: dict[str, list[float]] = {"stored": [], "stream": []}
-        for _ in range(args.repeats):
-            found["stored"] += speed(config, stored, args.steps)
-            found["stream"] += speed(streamed, stream, args.steps)
+        for _ in range(repeats):
+            found["stored"] += speed(config, stored, steps)
+            found["stream"] += speed(streamed, stream, steps)
     for name, values in found.items():
         figures[name] = {"samples_per_s": float(np.median(values)), "all": values}
         print(
@@ -70,6 +81,102 @@ def main() -> None:
         )
     figures["stream_over_stored"] = figures["stream"]["samples_per_s"] / figures["stored"]["samples_per_s"]
     print(f"stream / stored: {figures['stream_over_stored']:.2f}; preparing {figures['preparing_s']:.0f} s")
+    return figures
+
+
+def made_up(config: Config) -> Batch:
+    """A batch of the shapes and scales of a real one; what it says does not matter to a step's time."""
+    draw, size, clouds = np.random.default_rng(1), config.array.count, config.train.batch
+    shape = (clouds, len(config.array.frequencies_hz), size, size)
+    channel = 1e-6 * (draw.standard_normal(shape) + 1j * draw.standard_normal(shape)).astype(np.complex64)
+    low, high = np.array(config.flight.box_m).T
+    return Batch(
+        predicted=draw.uniform(low, high, (clouds, 3)).astype(np.float32),
+        snr_db=draw.uniform(0.0, 30.0, clouds).astype(np.float32),
+        cloud=draw.standard_normal((clouds, config.train.points, 5)).astype(np.float32),
+        estimated_channel=channel,
+    )
+
+
+def products(networks: August, clouds: int, points: int) -> float:
+    """Multiplications and additions of the layers of one gradient step: forward, and two products of each backward."""
+    each = {id(layer.linear) for layer in networks.denoiser.layers}
+    rows = [
+        (module.kernel[...].size, clouds * points if id(module) in each else clouds)
+        for _, module in nnx.iter_modules(networks)
+        if isinstance(module, nnx.Linear)
+    ]
+    return 3.0 * sum(2.0 * size * count for size, count in rows)
+
+
+def against_torch(config: Config, steps: int, repeats: int, gflop_s: float) -> Figures:
+    """Seconds of a step in turn, how far the two lie apart, and the share of the machine's matrix products."""
+    from torch_august import TorchTraining, disagreement, heard
+
+    config = override(config, ["model.encoder=paper", "model.frame=region", "train.weight_readout=0"])
+    networks = August(config, nnx.Rngs(config.train.seed))
+    graphdef, state = nnx.split(networks)
+    # last layers start at zero, which would leave most of the gradient zero: a step from the start checks nothing
+    draw = np.random.default_rng(2)
+    state = jax.tree.map(lambda leaf: leaf + 0.02 * draw.standard_normal(leaf.shape).astype(np.float32), state)
+    networks, batch = nnx.merge(graphdef, state), made_up(config)
+    few = jax.tree.map(lambda leaf: leaf[:8], batch)
+    loss_error, gradient_error = disagreement(networks, few, streams.key(0, "train.step"))
+    layout, begun = laid_out(ParameterLayout, config.train, graphdef, state)
+    peer, theirs = TorchTraining(networks), heard(batch)
+    kept = [begun]
+    on_device = jax.device_put(batch)
+
+    def ours():
+        for _ in range(steps):
+            kept[0], numbers = compiled_step(layout.loss, config.train, kept[0], on_device)
+        return numbers["loss"]
+
+    def torch_steps():
+        for _ in range(steps):
+            loss = peer.step(theirs)
+        return loss
+
+    each = {name: value / steps for name, value in medians({"jax": ours, "torch": torch_steps}, repeats).items()}
+    flop = products(networks, config.train.batch, config.train.points)
+    figures = {
+        "batch": config.train.batch,
+        "points": config.train.points,
+        "step_s": each,
+        "samples_per_s": {name: config.train.batch / value for name, value in each.items()},
+        "torch_over_jax": each["torch"] / each["jax"],
+        "loss_error": loss_error,
+        "gradient_error": gradient_error,
+        "step_gflop": flop / 1e9,
+        "rate_share": {name: flop / 1e9 / value / gflop_s for name, value in each.items()},
+    }
+    jax_share, torch_share = (100.0 * share for share in figures["rate_share"].values())
+    print(
+        f"a step of {config.train.batch} clouds of {config.train.points} points: {1e3 * each['jax']:.1f} ms, PyTorch "
+        f"{1e3 * each['torch']:.1f} ms, {figures['torch_over_jax']:.2f} times as long; {flop / 1e9:.2f} Gflop, "
+        f"{jax_share:.0f} % of the matrix-product rate ({torch_share:.0f} %); "
+        f"apart by {loss_error:.1e} (loss) and {gradient_error:.1e} (gradient)"
+    )
+    return figures
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("overrides", nargs="*", metavar="SECTION.FIELD=VALUE", help="that differ from the preset")
+    parser.add_argument("--preset", default="laptop")
+    parser.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS)
+    parser.add_argument("--steps", type=int, default=20, help="of a stretch")
+    parser.add_argument("--repeats", type=int, default=3, help="runs of three stretches, of either kind")
+    args = parsed(parser)
+    config = override(preset(args.preset), args.overrides)
+    figures: Figures = {"machine": machine(), "preset": args.preset, "overrides": args.overrides}
+    if "torch" in args.parts and PEER:
+        figures["torch"] = against_torch(config, args.steps, 3 * args.repeats, figures["machine"]["gflop_s"])
+        write(args, figures)
+    elif "torch" in args.parts:
+        print("PyTorch is not installed: its part is left out; pip install torch adds it")
+    if "stream" in args.parts:
+        figures |= stream_against_stored(config, args.steps, args.repeats)
     write(args, figures)
 
 

@@ -74,7 +74,7 @@ def test_end_to_end_times_imports_and_samples(tmp_path, monkeypatch):
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:cells.volumes")
 def test_training_times_a_stream_against_a_data_set(tmp_path, monkeypatch):
-    arguments = ("--preset", "smoke", "--steps", "2", "--repeats", "1")
+    arguments = ("--parts", "stream", "--preset", "smoke", "--steps", "2", "--repeats", "1")
     written = figures("training", *arguments, folder=tmp_path, monkeypatch=monkeypatch)
     rates = [written[name]["samples_per_s"] for name in ("stream", "stored")]
     assert min(rates) > 0.0 and written["stream_over_stored"] == pytest.approx(rates[0] / rates[1])
@@ -118,3 +118,22 @@ def test_inference_searches_with_fewer_craft_other_attitudes_and_more_tones(tmp_
     single, several = written["tones"]
     assert (single["tones"], several["tones"]) == (1, 2)
     assert several["table_mb"] > 1.5 * single["table_mb"]
+
+
+@pytest.mark.slow
+def test_steps_of_the_peer_in_pytorch_are_the_same_steps(tmp_path, monkeypatch):
+    pytest.importorskip("torch")
+    arguments = ("--parts", "torch", "--preset", "smoke", "--steps", "2", "--repeats", "1")
+    torch = figures("training", *arguments, folder=tmp_path, monkeypatch=monkeypatch)["torch"]
+    assert torch["loss_error"] < 1e-5 and torch["gradient_error"] < 1e-4
+    assert torch["torch_over_jax"] == pytest.approx(torch["step_s"]["torch"] / torch["step_s"]["jax"])
+
+
+@pytest.mark.slow
+def test_reconstruction_tells_time_beside_the_distance_to_the_truth(tmp_path, monkeypatch):
+    arguments = ("--count", "4", "--batch", "2", "--repeats", "1")
+    rows = figures("reconstruction", *arguments, folder=tmp_path, monkeypatch=monkeypatch)["rows"]
+    assert [row["sampler"] for row in rows] == ["ancestral, 200", "dpm, 5", "dpm, 10", "dpm, 20"]
+    assert rows[0]["chamfer_ratio"] == rows[0]["one_faster"] == 1.0
+    assert all(row["one_s"] > 0.0 and row["clouds_per_s"] > 0.0 and -60.0 < row["mcd_db"] < 0.0 for row in rows)
+    assert rows[1]["many_faster"] > rows[3]["many_faster"] > 1.0
