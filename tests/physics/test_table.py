@@ -19,6 +19,7 @@ from august_jax.physics import (
     tabulate,
     tabulate_bodies,
 )
+from august_jax.physics.body.cache import lengthened, shortened
 from august_jax.physics.body.patch import Patch, covering, frames
 from august_jax.physics.body.table import contrast_nodes, interpolation
 
@@ -200,6 +201,18 @@ def test_a_band_of_elevations_takes_fewer_directions_and_says_where_it_ends(body
     upside_down = np.diag([1.0, -1.0, -1.0]).astype(np.float32)
     with pytest.raises(ValueError, match="rotation: the body sees the antennas at an elevation of 19.* holds -80 to 0"):
         table_channel(band, ARRAY, upside_down, PLACE, 2.0)
+
+
+def test_tables_are_kept_with_three_bytes_a_number_each_right_to_a_part_in_65000():
+    draw = np.random.default_rng(3)
+    numbers = (draw.standard_normal((50, 7)) * 10.0 ** draw.uniform(-30.0, 30.0, (50, 7))).astype(np.float32)
+    numbers[0, :3] = 0.0, 1.0, -1.0
+    stored = shortened(numbers)
+    assert stored.dtype == np.uint8 and stored.nbytes == 0.75 * numbers.nbytes
+    again = lengthened(stored)
+    assert again.dtype == np.float32 and np.array_equal(again[0, :3], numbers[0, :3])
+    assert np.all(np.abs(again - numbers) <= 2.0**-16 * np.abs(numbers))
+    assert np.array_equal(lengthened(shortened(again)), again)
 
 
 def test_the_cache_is_used_and_a_damaged_file_is_made_again(body, monkeypatch, tmp_path):

@@ -1,4 +1,7 @@
-"""Factored bodies on the disk, under a hash of all that they depend on; what is damaged is made again."""
+"""Factored bodies on the disk, under a hash of all that they depend on; what is damaged is made again.
+
+Tables are large and hold numbers that are right to a few thousandths: three bytes a number keep 16 binary digits.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +10,7 @@ import warnings
 from collections.abc import Callable, Iterable
 
 import numpy as np
+from jaxtyping import Float, UInt8
 
 from august_jax.files import DamagedFile, cache_folder, read_npz, replacing
 
@@ -45,3 +49,16 @@ def cached(key: Iterable[np.ndarray | float | None], names: tuple[str, ...], mak
             stacklevel=2,
         )
     return factors
+
+
+def shortened(values: Float[np.ndarray, "*shape"]) -> UInt8[np.ndarray, "*shape 3"]:
+    """Single-precision numbers by their upper three bytes, rounded: right to 2^-16, finite ones below 3.3e38."""
+    bits = np.ascontiguousarray(values, "<f4").view("<u4")
+    return ((bits + np.uint32(0x80)) >> 8).view(np.uint8).reshape(*values.shape, 4)[..., :3]
+
+
+def lengthened(stored: UInt8[np.ndarray, "*shape 3"]) -> Float[np.ndarray, "*shape"]:
+    """Single-precision numbers of :func:`shortened` ones."""
+    filled = np.zeros((*stored.shape[:-1], 4), np.uint8)
+    filled[..., 1:] = stored
+    return filled.view("<f4")[..., 0]

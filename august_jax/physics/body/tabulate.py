@@ -20,7 +20,7 @@ import numpy as np
 
 from august_jax.physics.array import AntennaArray, PlanarArray, wavenumber
 from august_jax.physics.body.body import Body, _body_channel
-from august_jax.physics.body.cache import Factors, cached
+from august_jax.physics.body.cache import Factors, cached, lengthened, shortened
 from august_jax.physics.body.patch import Patch, covering, frames
 from august_jax.physics.body.table import Table, _table_channel, contrast_nodes
 from august_jax.physics.checks import is_concrete
@@ -35,7 +35,7 @@ _TAIL = 4e-3  # relative norm of what the axes that are dropped leave out, in mo
 _SPANNED = 72  # axes of the fields that are kept before the body is asked
 _PILOTS = 24  # directions from which the number of axes is chosen
 _POSES = 192  # by which a table's error is measured
-_VERSION = 1.0  # of what is stored
+_VERSION = 2.0  # of what is stored
 
 
 def tabulate(
@@ -165,7 +165,7 @@ def tabulate_bodies(
         key = (settings, np.asarray([tones[tone]]), *leaves, places, np.asarray(array.moments, np.float64))
         names = ("functions", "responses", "errors")
         found.append(cached(key, names, make) if cache else make())
-    kept = max(factors["functions"].shape[-1] for factors in found)
+    kept = max(factors["functions"].shape[-2] for factors in found)
     unpacked = [_unpacked(factors, kept) for factors in found]
     count = len(tones)
     return [
@@ -244,7 +244,7 @@ def _tabulated(body, tone, array, axes, outline, progress) -> Factors:
     # LAPACK's eigensolver works in small steps: threads that wait for each other make it slower.
     with threadpool_limits(1), ThreadPoolExecutor(cores) as pool:
         list(pool.map(fill, range(len(axes))))
-    made = {"functions": functions, "responses": responses, "errors": np.zeros(2, np.float32)}
+    made = {"functions": shortened(functions), "responses": shortened(responses), "errors": np.zeros(2, np.float32)}
     leaves = {name: jnp.asarray(leaf[None]) for name, leaf in _unpacked(made, kept).items()}
     table = outline(**leaves, frequencies_hz=(frequency,), single=True)
     alone = replace(
@@ -259,7 +259,7 @@ def _tabulated(body, tone, array, axes, outline, progress) -> Factors:
 
 def _unpacked(factors, kept):
     """Whole symmetric matrices, padded to ``kept`` axes."""
-    functions, packed = factors["functions"], factors["responses"]
+    functions, packed = lengthened(factors["functions"]), lengthened(factors["responses"])
     own = functions.shape[-1]
     upper = np.triu_indices(own)
     responses = np.zeros((*packed.shape[:-1], kept, kept), np.float32)
