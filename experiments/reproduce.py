@@ -109,7 +109,7 @@ def plan(chosen: Sequence[Figure], campaign: Campaign) -> list[Piece]:
         what = f"evaluate {run.name}{', with the search' if searched else ''}"
         pieces.append(Piece(what, campaign.evaluated(run, searched), seconds / 60.0, 0.1))
     for figure in chosen:
-        share = scale.steps / SCALES["laptop"].steps if preset == "smoke" else 1.0
+        share = min(scale.steps / SCALES["laptop"].steps, 1.0)
         pieces.append(Piece(f"figure {figure.name}", campaign.computed(figure.name),
                             max(figure.minutes * share, 0.1), 2.0))  # fmt: skip
     return pieces
@@ -156,9 +156,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     deadline = None if args.budget is None else began + 60.0 * args.budget
     try:
         chosen = figures(args.names)
-        campaign = Campaign(args.preset, args.runs, args.results, _Stamped(began), deadline)
+        campaign = Campaign(args.preset, args.runs, args.results, _Stamped(began), deadline, args.rehearse)
         pieces = plan(chosen, campaign)
         print(told(pieces), flush=True)
+        again = [*args.names, "--preset", args.preset, *(["--rehearse"] if args.rehearse else [])]
         if args.plan:
             return 0
         if args.budget is not None and not 60.0 * args.budget >= _LEAST_S:
@@ -170,7 +171,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except OutOfTime:
         left = [piece for piece in plan(chosen, campaign) if not piece.done]
         print(f"the budget of {args.budget:g} min is used up; {len(left)} pieces are left, the next: {left[0].what}\n"
-              f"next:  python experiments/reproduce.py {' '.join(args.names)} --preset {args.preset}")  # fmt: skip
+              f"next:  python experiments/reproduce.py {' '.join(again)}")  # fmt: skip
         return 0
     except (ConfigError, OtherConfiguration, ValueError) as error:
         print(f"reproduce.py: {error}", file=sys.stderr)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import json
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -25,8 +26,6 @@ def reproduce(monkeypatch, tmp_path):
 
 
 def campaign(preset="laptop"):
-    from pathlib import Path
-
     from campaign import Campaign
 
     return Campaign(preset, Path("runs"), Path("results"))
@@ -59,6 +58,18 @@ def test_the_plan_counts_what_is_missing_and_writes_nothing(reproduce, capsys, t
     assert sum("  figure " in line for line in lines) == len(reproduce.NAMES)
     assert lines[-1].startswith(f"{len(lines) - 1} of {len(lines) - 1} pieces to do")
     assert not list(tmp_path.iterdir())
+
+
+def test_a_rehearsal_is_a_twentieth_in_folders_of_its_own(reproduce, capsys):
+    from campaign import SCALES, Campaign
+
+    assert reproduce.main(["denoising", "--preset", "paper", "--rehearse", "--plan", *RUNS]) == 0
+    assert f"0 of {SCALES['paper'].steps // 20} steps" in capsys.readouterr().out
+    whole, part = (Campaign("paper", Path("runs"), Path("results"), rehearse=each) for each in (False, True))
+    run = reproduce.figures(["denoising"])[0].runs("paper")[0][0]
+    assert whole.folder(run) != part.folder(run) and whole.picture("x") != part.picture("x")
+    assert part.config(run).model == whole.config(run).model and part.config(run).train.points == 100
+    assert part.scale.flights == SCALES["paper"].flights // 20 and part.scale.searched == 1
 
 
 def test_runs_differ_where_their_names_do(reproduce):

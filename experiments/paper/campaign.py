@@ -56,6 +56,7 @@ class Scale:
 
     Attributes:
         steps: gradient steps of a run.
+        points: of each cloud that a step uses, drawn anew in every step: the same gradient in expectation.
         count: slots of an evaluation.
         searched: slots that the search answers, where it is asked.
         snr_db: at which evaluations are made [dB].
@@ -69,6 +70,7 @@ class Scale:
     """
 
     steps: int
+    points: int
     count: int
     searched: int
     snr_db: tuple[float, ...]
@@ -81,14 +83,20 @@ class Scale:
     flights: int
     samples_s: float
 
+    def rehearsal(self) -> Scale:
+        """A twentieth of all that takes long."""
+        part = {name: max(getattr(self, name) // 20, 1) for name in ("steps", "count", "searched", "flights")}
+        return replace(self, **part)
+
 
 SCALES = {
     "smoke": Scale(
-        20, 8, 0, (0.0, 30.0), ((4, 2), (4, 1)), ("roi",), (0.5, 0.8), (0.25,), 8.0, 0.1, 2, samples_s=300.0
+        20, 16, 8, 0, (0.0, 30.0), ((4, 2), (4, 1)), ("roi",), (0.5, 0.8), (0.25,), 8.0, 0.1, 2, samples_s=300.0
     ),
     "laptop": Scale(
-        4000,
-        400,
+        3000,
+        6,
+        300,
         20,
         (0.0, 5.0, 10.0, 15.0, 20.0, 25.0, 30.0),
         ((16, 4), (16, 2), (16, 1)),
@@ -102,6 +110,7 @@ SCALES = {
     ),
     "paper": Scale(
         31_250,
+        100,
         512,
         20,
         (-3.0, 0.0, 5.0, 10.0, 15.0, 20.0, 25.0, 30.0),
@@ -223,6 +232,7 @@ class Campaign:
         results: folder of rows and figures, one below it a preset.
         progress: told what is done, with time left.
         deadline: of :func:`time.monotonic`, after which nothing new is begun.
+        rehearse: a twentieth of the scale, in folders of its own.
 
     Raises:
         ConfigError: no such preset.
@@ -235,16 +245,21 @@ class Campaign:
         results: Path = RESULTS,
         progress: Progress = silent,
         deadline: float | None = None,
+        rehearse: bool = False,
     ):
         self.base = preset(preset_name)
         self.preset, self.scale, self.progress = preset_name, SCALES[preset_name], progress
-        self._runs, self._results, self._deadline = runs / preset_name, results / preset_name, deadline
+        folder = preset_name
+        if rehearse:
+            self.scale, folder = self.scale.rehearsal(), f"{preset_name}-rehearsal"
+        self._runs, self._results, self._deadline = runs / folder, results / folder, deadline
 
     def config(self, run: Run) -> Config:
         """The configuration of a run, evaluations included."""
         scale = self.scale
         sized = (
             f"train.steps={scale.steps}",
+            f"train.points={scale.points}",
             f"train.save_every={min(self.base.train.save_every, max(scale.steps // 10, 1))}",
             f"evaluate.count={scale.count}",
             "evaluate.searched=0",

@@ -114,7 +114,9 @@ def main(figure: Figure, description: str | None) -> None:
     parser.add_argument("action", choices=("compute", "draw"))
     add_places(parser)
     args = parser.parse_args()
-    campaign = Campaign(args.preset, args.runs, args.results, lambda line: print(line, flush=True))
+    campaign = Campaign(
+        args.preset, args.runs, args.results, lambda line: print(line, flush=True), rehearse=args.rehearse
+    )
     try:
         if args.action == "compute":
             make(figure, campaign)
@@ -134,6 +136,7 @@ def main(figure: Figure, description: str | None) -> None:
 def add_places(parser: argparse.ArgumentParser) -> None:
     """Options that every figure shares."""
     parser.add_argument("--preset", choices=tuple(SCALES), default="laptop", help="how large (%(default)s)")
+    parser.add_argument("--rehearse", action="store_true", help="a twentieth of the preset, in folders of its own")
     parser.add_argument(
         "--runs", type=Path, default=Path("august_runs/reproduce"), help="folder of the trainings (%(default)s)"
     )
