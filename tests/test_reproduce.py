@@ -124,7 +124,8 @@ def rows(level):
             found.append(
                 {"scheme": scheme, "snr_db": snr_db, "count": 10, "mpe_m": value, "mpe_se_m": 0.1 * value,
                  "mde": 0.1 * value, "mde_se": 0.01 * value, "wd_db": -10.0 * value, "wd_se_db": 0.3, "mcd_db": -20.0,
-                 "mcd_se_db": 0.2, "craft_accuracy": None, "bound_m": 0.1 * value, "bound_mde": 0.001 * value}
+                 "mcd_se_db": 0.2, "craft_accuracy": None, "bound_m": 0.1 * value, "bound_mde": 0.001 * value,
+                 "expected_mpe_m": value if scheme == "matched_field" else None}
             )  # fmt: skip
     return found
 
@@ -137,6 +138,19 @@ def test_what_schemes_without_networks_say_is_taken_once(reproduce):
     assert lines.count("first") == lines.count("second") == lines.count("polar") == len(SNRS_DB)
     assert np.all(numbers["mpe_m"][numbers["line"] == "second"] == np.array([0.5, 0.25, 0.5 / 3.0]))
     assert np.all(np.isnan(numbers["craft_accuracy"]))
+
+
+def test_the_bound_is_drawn_once_where_all_hear_alike_and_line_by_line_where_not(reproduce):
+    from figure import columns, over_snr
+
+    from august_jax.app.plotting import new_figure
+
+    alike = columns([("first", rows(1.0)), ("second", rows(1.0))])
+    for numbers, bounds in ((alike, 1), (columns([("first", rows(1.0)), ("second", rows(0.5))]), 2)):
+        axes = new_figure(3.0, 3.0).add_subplot()
+        over_snr(axes, numbers, "mpe_m", {"first": ("a", "red", "-"), "second": ("b", "blue", "-")}, bound="bound_m")
+        assert [line.get_linestyle() for line in axes.lines].count("-.") == bounds
+        assert sum(label.startswith("what the search expects") for label in axes.get_legend_handles_labels()[1]) == 1
 
 
 def made_up(figure, here):

@@ -28,7 +28,7 @@ def draw(numbers: Numbers):
     drawn = new_figure(PAGE_IN, 3.0)
     first, second = drawn.subplots(1, 2)
     over_snr(first, numbers, "wd_db", lines, error="wd_se_db", logarithmic=False)
-    over_snr(second, numbers, "mpe_m", lines, error="mpe_se_m")
+    over_snr(second, numbers, "mpe_m", lines, error="mpe_se_m", bound="bound_m")
     first.set_ylabel("weighted distance [dB]")
     second.set_ylabel("mean position error [m]")
     legend_below(drawn, 3)

@@ -27,6 +27,8 @@ COLUMN_IN, PAGE_IN = 3.5, 7.16
 """Widths of one and of two columns [inch]."""
 INK = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000", "#999999")
 """Okabe and Ito's colours."""
+SEARCHED = "#7a3fb5"
+"""Of the search by physics."""
 MARKS = "osD^vP*X"
 _NONE = {
     "prediction": ("answering the prediction", "#555555", "--"),
@@ -53,7 +55,11 @@ COLUMNS = (
     "craft_accuracy",
     "bound_m",
     "bound_mde",
+    "expected_mpe_m",
+    "expected_mde",
 )
+EXPECTED = {"mpe_m": "expected_mpe_m", "mde": "expected_mde"}
+"""Metric -> what the search's posterior expects of it: the bound that knows of every explanation of an echo."""
 
 
 @dataclass(frozen=True)
@@ -188,7 +194,7 @@ def over_snr(
         metric: one of COLUMNS.
         lines: name in ``numbers`` -> label, colour and style.
         error: column of its standard error.
-        bound: column of what an unbiased estimator that knows the craft errs by.
+        bound: column of what an unbiased estimator that knows the craft errs by; one for each line where they differ.
         logarithmic: the metric's axis.
     """
     for number, (name, (label, color, style)) in enumerate(lines.items()):
@@ -203,10 +209,22 @@ def over_snr(
         if at.any():
             axes.plot(numbers["snr_db"][at], numbers[metric][at], color=color, ls=style, lw=1.0, label=label)
     if bound is not None:
-        at = np.isfinite(numbers[bound])
-        pairs = dict(zip(numbers["snr_db"][at], numbers[bound][at]))
-        if pairs:
-            axes.plot(*np.array(sorted(pairs.items())).T, color="black", ls="-.", lw=1.0, label="bound, craft known")
+        limits = {
+            name: tuple(sorted(zip(numbers["snr_db"][at], numbers[bound][at])))
+            for name in lines
+            if (at := (numbers["line"] == name) & np.isfinite(numbers[bound])).any()
+        }
+        for number, limit in enumerate(dict.fromkeys(limits.values())):
+            # black where all hear alike, else in the colour of who hears
+            alone = len(set(limits.values())) == 1
+            name = next(name for name, each in limits.items() if each == limit)
+            axes.plot(*np.array(limit).T, color="black" if alone else lines[name][1], ls="-.", lw=1.0,
+                      label=None if number else "bound, craft known")  # fmt: skip
+    expected = EXPECTED.get(metric)
+    at = np.isfinite(numbers[expected]) if expected is not None and expected in numbers else np.zeros(1, bool)
+    if at.any():
+        pairs = sorted(zip(numbers["snr_db"][at], numbers[expected][at]))
+        axes.plot(*np.array(pairs).T, color=SEARCHED, ls=":", lw=1.0, label="what the search expects to err by")
     if logarithmic:
         axes.set_yscale("log")
         axes.yaxis.set_major_formatter("{x:g}")

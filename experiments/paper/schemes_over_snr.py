@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from campaign import SCALES, Campaign, Numbers, Run, run_of
-from figure import INK, Figure, columns
+from figure import INK, SEARCHED, Figure, columns
 
 from august_jax.schemes.networks import TITLES
 
@@ -13,13 +13,13 @@ ENCODERS = {"roi": ("our encoder", "-"), "paper": ("the paper's", "--")}
 OTHERS = {
     "polar": ("model-based, polar domain", "#000000", "-"),
     "polar_angles": ("its angles alone", "#000000", ":"),
-    "matched_field": ("search by physics", "#7a3fb5", "-"),
+    "matched_field": ("search by physics", SEARCHED, "-"),
 }
 
 
 def compared(preset: str) -> list[tuple[Run, bool]]:
     """Every scheme with every encoder, at the largest array; the first run is asked for the search, too."""
-    return [(run_of(preset, scheme, encoder), True) for encoder in SCALES[preset].encoders for scheme in TITLES]
+    return [(run_of(preset, scheme, encoder), True) for scheme in TITLES for encoder in SCALES[preset].encoders]
 
 
 def asked(preset: str, run: Run, figures: Sequence[Figure]) -> bool:
