@@ -150,9 +150,36 @@ def prediction_errors(numbers):
     assert np.all(tuned < 1.1 * filtered)
 
 
+def beside_planes(numbers):
+    """Free space is nobody's environment; planes add to the channel, and a descent ends no higher than it began."""
+    level, snr = numbers["level"], numbers["snr_db"]
+    keys = list(zip(numbers["case"], level, numbers["slot"], snr))
+    assert len(set(keys)) == len(keys) and {0.0} < set(level) and np.all((level >= 0.0) & (level <= 1.0))
+    free = level == 0.0
+    assert np.all(numbers["added"][free] == 0.0) and np.all(numbers["added"][~free] > 0.0)
+    assert np.all(numbers["known_cost"] <= numbers["known_start_cost"] + 1e-6)
+    for case in set(numbers["case"]):
+        mine = numbers["case"] == case
+        added = [np.mean(numbers["added"][mine & (level == each)]) for each in np.unique(level[mine])]
+        assert np.all(np.diff(added) > 0.0)
+        explained = [np.mean(numbers["explained"][mine & (level == each)]) for each in np.unique(level[mine])]
+        assert explained[-1] <= explained[0]
+        for slot, each in {(slot, each) for slot, each in zip(numbers["slot"][mine], level[mine])}:
+            row = mine & (numbers["slot"] == slot) & (level == each)
+            for name in ("bound_m", "bound_mde"):
+                assert np.all(np.diff(numbers[name][row][np.argsort(snr[row])]) < 0.0)
+    for name in ("craft_probability", "probability", "known_probability"):
+        assert np.all((numbers[name] >= 0.0) & (numbers[name] <= 1.0 + 1e-6))
+    assert np.mean(numbers["error_m"][free]) < np.mean(numbers["prediction_error_m"][free])
+    # planes that are known leave an explanation where the truth is
+    assert np.mean(numbers["truth_explained"]) > 0.6
+    assert np.mean(numbers["truth_error_m"]) < np.mean(numbers["prediction_error_m"])
+
+
 LAWS = {
     "convergence": cell_size,
     "design": array_design,
+    "environment": beside_planes,
     "limits": what_physics_allows,
     "link_budget": echo_over_the_box,
     "prediction": prediction_errors,
