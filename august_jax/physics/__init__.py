@@ -21,9 +21,11 @@ from august_jax.physics.krylov import KrylovSolution, solve_krylov
 from august_jax.physics.materials import contrast
 from august_jax.physics.mom import Solution, interaction_matrix, self_term, solve_dense
 from august_jax.physics.parameters import PARAMETERS, Parameters, moved, parameter_channel, rotation_from_vector
+from august_jax.physics.rcs import POLARISATIONS, dbsm, looking, polarisations, scattering_matrix, seen_from
 
 __all__ = [
     "PARAMETERS",
+    "POLARISATIONS",
     "SOLVERS",
     "AntennaArray",
     "Body",
@@ -40,6 +42,7 @@ __all__ = [
     "cache_folder",
     "contrast",
     "coupling_matrix",
+    "dbsm",
     "dipole_fields",
     "dyadic_green",
     "environment_channel",
@@ -50,13 +53,17 @@ __all__ = [
     "fresnel",
     "interaction_matrix",
     "judge_contrast",
+    "looking",
     "mean_position_error",
     "mirrored",
     "moved",
     "parameter_channel",
     "path_difference",
+    "polarisations",
     "position_bound",
     "rotation_from_vector",
+    "scattering_matrix",
+    "seen_from",
     "self_term",
     "sensing_channel",
     "sensing_channels",

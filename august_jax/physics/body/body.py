@@ -236,6 +236,13 @@ def _product(left, right):
     return jax.lax.complex(parts[:n, :m] - parts[n:, m:], parts[:n, m:] + parts[n:, :m])
 
 
+def in_modes(body: Body, tone: int, fields: Complex[Array, "m k"]) -> Complex[jax.Array, "n k"]:
+    """W E' (n, K) of fields at the rows (m, K) that W takes, by three real products."""
+    real, difference, total = body.weights[tone]
+    both = real @ (fields.real + fields.imag)
+    return jax.lax.complex(both - total @ fields.imag, both + difference @ fields.real)
+
+
 def _modal_fields(body, tone, array, rotation, translation):
     """F of some antennas in the body's modes (K, n), and how they determine all: None where they are all."""
     frequency = body.frequencies_hz[tone]
@@ -252,9 +259,7 @@ def _modal_fields(body, tone, array, rotation, translation):
     local = body.points[tone] @ rotation.T
     world = dipole_fields_about(local, base, elements[chosen], moments, k)
     fields = jnp.einsum("pna,ab->pbn", world, rotation).reshape(-1, world.shape[1])[body.rows[tone]]
-    real, difference, total = body.weights[tone]
-    both = real @ (fields.real + fields.imag)
-    modal = jax.lax.complex(both - total @ fields.imag, both + difference @ fields.real)
+    modal = in_modes(body, tone, fields)
     if not planar:
         return modal, None
     # Interpolation over the aperture, on fields whose phases to the body's centre are removed.
