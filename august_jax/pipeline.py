@@ -1,13 +1,13 @@
 """From an airframe in the air to its reconstructed cloud: the one place where the rooms of the house are joined.
 
 Scenario (who flies where, made of what) -> full-wave channel in each slot -> what the base station estimates of it
--> cloud about the predicted position -> position and attitude, which feed the next prediction.
+-> what a scheme finds about the predicted position, a cloud or a place -> the next prediction.
 """
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -15,15 +15,14 @@ import numpy as np
 
 from august_jax import config as configuration
 from august_jax import streams
-from august_jax.arrays import Array, ArrayLike
 from august_jax.config import Config
 from august_jax.data import channels_along
 from august_jax.models import Networks
+from august_jax.physics import Body
 from august_jax.progress import Progress, silent
-from august_jax.scene import Scenario, draw_scenario, pose_scenario
-from august_jax.schemes import SCHEMES, Answer, Setting, Slots
-from august_jax.signal import Coefficients, Statistics
-from august_jax.tracking import Followed, Kalman, Predictor, Track, follow
+from august_jax.scene import Scenario, WorldCloud, draw_scenario, pose_scenario
+from august_jax.schemes.looped import check_follows, follow_by
+from august_jax.tracking import Kalman, Predictor, Track
 
 __all__ = ["SHIPPED", "Networks", "Scenario", "Track", "draw_scenario", "load_networks", "pose_scenario",
            "run_files", "sense"]  # fmt: skip
@@ -61,52 +60,61 @@ def load_networks(run: str | Path | None = None) -> Networks:
 
 @streams.pin
 def sense(
-    networks: Networks,
+    networks: Networks | None,
     config: Config,
     scenario: Scenario,
     *,
     seed: int,
     snr_db: float,
     predictor: Predictor | None = None,
+    scheme: str = "august",
+    body: Body | None = None,
     progress: Progress = silent,
 ) -> Track:
-    """Simulate the echo of every slot and reconstruct the craft from it.
+    """Simulate the echo of every slot and find the craft in it, in closed loop.
 
     In the first three slots the predicted position misses the true one uniformly within ``region.threshold_m`` along
     each axis, as a detection would: speed and acceleration are not known before. From then on a predictor over the
-    estimates says where to look.
+    estimates says where to look. Where the craft is noticed to be lost (:mod:`august_jax.tracking.loss`), it is
+    detected anew, and the predictor starts again.
 
     Args:
-        networks: what reconstructs.
+        networks: what reconstructs; None for a scheme without.
         config: that of the networks, possibly with other settings of signal and sampler.
         scenario: what flies.
         seed: of the first prediction, pilots, noise, samplers and labels.
         snr_db: SNR to which the power is set in each slot [dB].
         predictor: None takes a Kalman filter for the configuration's style of flight.
+        scheme: what finds the craft, of :data:`august_jax.schemes.SCHEMES`; one that needs no library.
+        body: the craft's, where it was factored already; see :func:`august_jax.data.channels_along`.
         progress: takes lines of progress.
 
     Raises:
-        ValueError: an SNR beyond what single precision can tell.
+        ValueError: an SNR beyond what single precision can tell, or a scheme that cannot follow, or lacks what it
+            needs.
     """
     if not abs(snr_db) <= configuration.SNR_LIMIT_DB:
         raise ValueError(
             f"snr_db: {snr_db:g} dB is beyond {configuration.SNR_LIMIT_DB:g} dB; the weights know "
             f"{config.signal.snr_db[0]:g} to {config.signal.snr_db[1]:g} dB"
         )
+    check_follows(scheme, networks, config)
     progress("computing the full-wave channels")
-    channels = channels_along(
-        config, scenario.airframe, scenario.rotations, scenario.positions, scenario.permittivity, scenario.conductivity
-    )
-    progress("estimating the channels and reconstructing the clouds")
+    material = scenario.permittivity, scenario.conductivity
+    channels = channels_along(config, scenario.airframe, scenario.rotations, scenario.positions, *material, body)
+    progress("following the flight" if scheme != "august" else "estimating the channels and reconstructing the clouds")
     threshold = config.region.threshold_m
     detected = jnp.asarray(scenario.positions, jnp.float32) + jax.random.uniform(
         streams.key(seed, "sense.detection"), scenario.positions.shape, minval=-threshold, maxval=threshold
     )
     predictor = Kalman.for_flight(config.flight) if predictor is None else predictor
     seen = jax.tree.map(
-        lambda leaf: np.asarray(leaf, np.complex64 if jnp.iscomplexobj(leaf) else np.float64),
-        _followed(networks, streams.key(seed, "sense.slot"), channels, detected, config, predictor, snr_db),
+        lambda leaf: np.asarray(leaf, np.float64 if jnp.issubdtype(leaf.dtype, jnp.floating) else leaf.dtype),
+        follow_by(scheme, networks, streams.key(seed, "sense.slot"), channels, detected, config, predictor, snr_db),
     )
+    found = seen.found
+    unknown = np.full((scenario.slots, 1), np.nan)
+    cloud: Any = found.cloud or WorldCloud(found.position[:, None], unknown, unknown)
     return Track(
         time_s=np.asarray(scenario.time_s),
         position=scenario.positions,
@@ -117,33 +125,13 @@ def sense(
         resampled=scenario.surface(streams.key(seed, "sense.resampling"), config.target.points),
         predicted=seen.predicted,
         snr_db=seen.snr_db,
-        points=seen.found.cloud.points,
-        point_permittivity=seen.found.cloud.permittivity,
-        point_conductivity=seen.found.cloud.conductivity,
-        normal_estimate=seen.found.normal,
+        points=cloud.points,
+        point_permittivity=cloud.permittivity,
+        point_conductivity=cloud.conductivity,
+        normal_estimate=found.normal if found.normal is not None else np.repeat(unknown, 3, axis=1),
         received=seen.statistics.received,
         pilots=seen.statistics.pilots,
+        detected=seen.detected,
+        lost=seen.lost,
+        threshold_m=seen.threshold_m,
     )
-
-
-@partial(jax.jit, static_argnames=("config", "predictor"))
-def _followed(
-    networks: Networks,
-    key: jax.Array,
-    channels: jax.Array,
-    detected: jax.Array,
-    config: Config,
-    predictor: Predictor,
-    snr_db: ArrayLike,
-) -> Followed:
-    """The loop over slots, in which the networks find the craft; compiled once."""
-    ask = SCHEMES["august"].prepare(Setting(config, networks, None, key))
-    assert ask is not None  # it needs networks alone
-
-    def locate(
-        key: jax.Array, heard: Array | Coefficients, predicted: jax.Array, snr: jax.Array, statistics: Statistics
-    ) -> Answer:
-        slot = jax.tree.map(lambda leaf: leaf[None], Slots(predicted, snr, heard, None, statistics))
-        return jax.tree.map(lambda leaf: leaf[0], ask(key, slot))
-
-    return follow(key, channels, detected, snr_db, config, predictor, locate)

@@ -216,8 +216,8 @@ def test_a_craft_that_is_lost_is_told_and_found_again():
     assert np.argmax(back.craft_probability) == found.craft
     assert not any(step.lost for step in found.steps[:4])
     scores = evaluation.score_flown(found, CONFIG, 0.25)
-    told = scores["slots"][4]["search"]
-    assert told["lost"] and told["craft"] is None and scores["summary"][0]["lost"] == 1
+    told = scores["slots"][4]
+    assert told["lost"] and told["search"]["craft"] is None and scores["summary"][0]["lost"] == 1
 
 
 def test_an_unknown_craft_is_told_to_be_unknown():
@@ -248,7 +248,7 @@ def test_the_command_tells_of_slots_and_draws_them(kept, tmp_path, monkeypatch, 
 def test_a_lost_slot_is_in_the_picture(kept, tmp_path):
     found, _ = kept["flown"] if "flown" in kept else followed(flight()[1])
     scores = evaluation.score_flown(found, CONFIG, 0.25)
-    scores["slots"][2]["search"]["lost"] = True
+    scores["slots"][2]["lost"] = True
     plotting.flight(found.track, scores["slots"], tmp_path / "track.png", title="made up")
     assert (tmp_path / "track.png").stat().st_size > 50_000
 

@@ -28,7 +28,7 @@ ALLOWED = {
     "training": BASE | {"models", "data", "scene.trajectory", "tracking.predictors"},
     "schemes": BASE | {"inference", "models", "tracking", "signal", "scene", "physics"},
     "evaluation": BASE | {"schemes", "inference", "data", "tracking", "models", "physics", "signal", "scene"},
-    "pipeline": BASE | {"schemes", "data", "tracking", "models", "signal", "scene", "training.checkpoint"},
+    "pipeline": BASE | {"schemes", "data", "tracking", "models", "physics", "scene", "training.checkpoint"},
 }
 """First part of a module's name -> what it may import besides itself."""
 ON_TOP = {"app"}

@@ -178,8 +178,11 @@ def made_up(figure, here):
         }  # fmt: skip
     if figure.name == "tracks":
         errors = rng.uniform(0.01, 0.5, (2, 3, 20))
+        lost = np.zeros(errors.shape, bool)
+        searched = np.where(np.arange(3)[:, None] < 2, 0.1 * errors, np.nan)  # some of the flights
         return {"label": np.array(["smooth", "dynamic"]), "places_m": rng.normal(size=(2, 3, 20, 3)).cumsum(axis=2),
-                "predicted_m": errors, "estimated_m": 0.5 * errors, "first": np.array(3)}  # fmt: skip
+                "predicted_m": errors, "estimated_m": 0.5 * errors, "search_m": searched, "estimated_lost": lost,
+                "search_lost": lost, "first": np.array(3)}  # fmt: skip
     if figure.name.startswith("craft_"):
         lines = {name: rng.uniform(0.1, 1.0, (2, 3)) for name in ("wd_se_db", "mpe_m", "mpe_se_m", "snr_db")}
         return {"label": np.array(["small", "large"]), "power_dbm": np.array([-30.0, -15.0, 0.0]), **lines,

@@ -1,4 +1,4 @@
-"""Whether this installation can work: versions, devices, sums, a small physics check, room to write, the weights."""
+"""Whether this installation can work: versions, devices, sums, a small physics check, room to write, weights."""
 
 from __future__ import annotations
 
@@ -61,7 +61,9 @@ def examine(out: Path) -> Iterator[Check]:
         yield _guarded("physics", _physics)
     yield _guarded("cache", _cache)
     yield _guarded("disk", lambda: _disk(out))
-    yield _guarded("weights", _weights)
+    if devices.passed:  # arrays of a device
+        yield _guarded("weights", _weights)
+        yield _guarded("predictor", _predictor)
 
 
 def _guarded(name: str, check: Callable[[], tuple[bool | None, str]]) -> Check:
@@ -161,10 +163,25 @@ def _disk(out: Path) -> tuple[bool, str]:
 
 
 def _weights() -> tuple[bool, str]:
-    from august_jax.pipeline import SHIPPED
+    from august_jax.pipeline import SHIPPED, load_networks
+    from august_jax.schemes import title_of
 
     wanted = ("weights.npz", "config.yaml", "card.json", "card.md")
     missing = [name for name in wanted if not (SHIPPED / name).is_file()]
     if missing:
         return False, f"missing in {SHIPPED}: {', '.join(missing)}; install the package again"
-    return True, f"laptop, {(SHIPPED / 'weights.npz').stat().st_size / 1024**2:.1f} MiB in {SHIPPED}"
+    networks = load_networks()
+    size = (SHIPPED / "weights.npz").stat().st_size / 1024**2
+    return True, f"{networks.config.preset} ({title_of(networks)}) load, {size:.1f} MiB in {SHIPPED}"
+
+
+def _predictor() -> tuple[bool, str]:
+    from august_jax.config import preset
+    from august_jax.tracking import KalmanLSTM
+    from august_jax.tracking.predictors.lstm import SHIPPED
+
+    try:
+        KalmanLSTM.for_flight(preset("laptop").flight)
+    except (ValueError, OSError) as error:
+        return False, f"{error}; install the package again"
+    return True, f"the LSTM over the Kalman filter loads from {SHIPPED}"

@@ -158,15 +158,18 @@ def clouds(
     save(figure, png)
 
 
-def flight(track: Track, slots: Sequence[Mapping[str, Any]], png: str | Path, *, title: str) -> None:
-    """True, predicted and estimated track with the cloud of each slot; beside it errors, what they are expected to be,
-    and the craft, slot by slot.
+def flight(
+    track: Track, slots: Sequence[Mapping[str, Any]], png: str | Path, *, title: str, threshold_m: float | None = None
+) -> None:
+    """True, predicted and estimated track with the cloud of each slot; beside it errors and, of hypotheses, what they
+    are expected to be and the craft, slot by slot, else what the region has to allow.
 
     Args:
         track: what was true and what was found.
-        slots: one entry a slot, as :func:`august_jax.evaluation.followed.score_flown` gives them.
+        slots: one entry a slot, as :mod:`august_jax.evaluation.followed` gives them.
         png: the picture.
         title: heading.
+        threshold_m: what the region allows [m], of a flight that a predictor's loop followed.
     """
     from matplotlib.ticker import MaxNLocator
 
@@ -192,7 +195,7 @@ def flight(track: Track, slots: Sequence[Mapping[str, Any]], png: str | Path, *,
     )
     for places, style in lines:
         axes.plot(*places.T, **style)
-    lost = [row for row, slot in enumerate(slots) if slot["search"]["lost"]]
+    lost = [row for row, slot in enumerate(slots) if slot["lost"]]
     if lost:
         axes.plot(*estimate[lost].T, ls="", marker="s", ms=10, mfc="none", mec="#a63d7b", mew=1.8, label="lost")
     shown = np.concatenate([track.points.reshape(-1, 3), track.position, track.predicted])
@@ -211,54 +214,70 @@ def flight(track: Track, slots: Sequence[Mapping[str, Any]], png: str | Path, *,
     bar.locator = MaxNLocator(integer=True)
     bar.outline.set_visible(False)
     panels = [figure.add_subplot(grid[row, 1]) for row in range(3)]
-    place, attitude, craft = panels
-    errors: tuple[tuple[str, str, dict[str, Any]], ...] = (
-        ("predicted_error_m", "prediction", {"color": BASE, "ls": "--", "marker": "x", "ms": 5}),
-        ("position_error_m", "estimate", {"color": MODEL, "marker": "o", "ms": 4}),
-        ("expected_error_m", "expected of it", {"color": SOFT, "ls": ":"}),
-    )
-    for name, label, style in errors:
-        place.plot(numbers, [max(slot[name], 1e-4) for slot in slots], label=label, **style)
-    attitude.plot(
-        numbers,
-        [max(slot["normal_error_up_deg"], 1e-2) for slot in slots],
-        label="always up",
-        color=BASE,
-        ls="--",
-        marker="x",
-        ms=5,
-    )
-    attitude.plot(numbers, [max(slot["normal_error_deg"], 1e-2) for slot in slots], label="estimate", color=MODEL,
-                  marker="o", ms=4)  # fmt: skip
-    expected = [np.degrees(np.arccos(np.clip(1.0 - slot["expected_mde"], -1.0, 1.0))) for slot in slots]
-    attitude.plot(numbers, np.maximum(expected, 1e-2), label="expected of it", color=SOFT, ls=":")
+    place, attitude, below = panels
+
+    def line(axes: Axes, key: str, floor: float, label: str, **style: Any) -> None:
+        """Over slots, where it is told."""
+        values = [slot.get(key) for slot in slots]
+        if any(value is not None for value in values):
+            axes.plot(
+                numbers, [np.nan if value is None else max(value, floor) for value in values], label=label, **style
+            )
+
+    base = {"color": BASE, "ls": "--", "marker": "x", "ms": 5}
+    own: dict[str, Any] = {"color": MODEL, "marker": "o", "ms": 4}
+    expected: dict[str, Any] = {"color": SOFT, "ls": ":"}
+    line(place, "predicted_error_m", 1e-4, "prediction", **base)
+    line(place, "position_error_m", 1e-4, "estimate", **own)
+    line(place, "expected_error_m", 1e-4, "expected of it", **expected)
+    line(attitude, "normal_error_up_deg", 1e-2, "always up", **base)
+    line(attitude, "normal_error_deg", 1e-2, "estimate", **own)
+    if "expected_mde" in slots[0]:
+        angles = [np.degrees(np.arccos(np.clip(1.0 - slot["expected_mde"], -1.0, 1.0))) for slot in slots]
+        attitude.plot(numbers, np.maximum(angles, 1e-2), label="expected of it", **expected)
     for each in (place, attitude):
         each.set_yscale("log")
         low, high = np.log10(each.dataLim.intervaly)
         each.set_ylim(10.0 ** np.floor(low), 10.0 ** np.ceil(high))
         each.yaxis.set_major_formatter("{x:g}")
         each.yaxis.set_minor_formatter("")
-    names = list(slots[0]["search"]["craft_probability"])
-    below = np.zeros(track.slots)
-    for name, colour in zip(names, ("#0a6ebd", "#2b9348", "#c8641b", "#8a6d1d", "#a63d7b", "#6a3fb5", "#7a8894") * 9):
-        share = np.array([slot["search"]["craft_probability"][name] for slot in slots])
-        craft.bar(numbers, share, bottom=below, color=colour, width=0.8, label=name)
-        below += share
-    for number, slot in zip(numbers, slots):
-        if not slot["search"]["explained"]:
-            craft.text(float(number), 1.02, "?", ha="center", fontsize=10, color="#a63d7b")
-    craft.set_ylim(0.0, 1.12)
-    for each, label in zip(
-        panels, ("position error [m]", "attitude error [degrees]", "probability of each known craft (?: unexplained)")
-    ):
+    if "search" in slots[0]:
+        _craft(below, slots)
+        last = "probability of each known craft (?: unexplained)"
+    else:
+        line(below, "threshold_m", 0.0, "asked for by the predictor", **own)
+        below.axhline(threshold_m or 0.0, color=TRUTH, lw=1.2, label="of the region")
+        marks = (("lost", "lost", "#a63d7b", "s"), ("detected", "listened at a detection", SOFT, "|"))
+        for key, label, colour, marker in marks:
+            at = [number for number, slot in zip(numbers, slots) if slot[key]]
+            if at:
+                below.plot(at, np.zeros(len(at)), ls="", marker=marker, ms=9, mfc="none", color=colour, label=label)
+        below.set_ylim(bottom=-0.08)
+        last = "threshold along each axis [m]"
+    for each, label in zip(panels, ("position error [m]", "attitude error [degrees]", last)):
         each.set_title(label, loc="left", fontsize=11)
         each.set_xlim(0.3, track.slots + 0.7)
         each.xaxis.set_major_locator(MaxNLocator(integer=True))
-        each.legend(frameon=each is craft, framealpha=0.85, fontsize=8.5, loc="lower left", ncols=5)
+        each.legend(frameon=each is below, framealpha=0.85, fontsize=8.5, loc="lower left", ncols=5)
         _tidy(each)
-    craft.set_xlabel("slot")
+    below.set_xlabel("slot")
     figure.suptitle(title, x=0.01, ha="left", fontsize=12, fontweight="bold")
     save(figure, png)
+
+
+def _craft(axes: Axes, slots: Sequence[Mapping[str, Any]]) -> None:
+    """How probable each known craft is, slot by slot, as stacked bars."""
+    numbers = 1 + np.arange(len(slots))
+    names = list(slots[0]["search"]["craft_probability"])
+    below = np.zeros(len(slots))
+    for name, colour in zip(names, ("#0a6ebd", "#2b9348", "#c8641b", "#8a6d1d", "#a63d7b", "#6a3fb5", "#7a8894") * 9):
+        share = np.array([slot["search"]["craft_probability"][name] for slot in slots])
+        axes.bar(numbers, share, bottom=below, color=colour, width=0.8, label=name)
+        below += share
+    for number, slot in zip(numbers, slots):
+        if not slot["search"]["explained"]:
+            axes.text(float(number), 1.02, "?", ha="center", fontsize=10, color="#a63d7b")
+    axes.set_ylim(0.0, 1.12)
 
 
 def evaluation_curves(rows: Sequence[Mapping[str, Any]], png: str | Path, *, title: str) -> None:

@@ -101,5 +101,5 @@ def _coordinates(points: np.ndarray) -> str:
 
 
 def _levels(values: np.ndarray, span: tuple[float, float]) -> str:
-    level = (np.asarray(values) - span[0]) / max(span[1] - span[0], 1e-30)
+    level = np.nan_to_num((np.asarray(values) - span[0]) / max(span[1] - span[0], 1e-30), nan=0.5)  # nobody says
     return base64.b64encode(np.round(255 * np.clip(level, 0.0, 1.0)).astype(np.uint8).tobytes()).decode("ascii")

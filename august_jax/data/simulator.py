@@ -9,6 +9,7 @@ import itertools
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -386,9 +387,29 @@ def channels_along(
     else:
         scatterer = body
 
+    poses = jnp.asarray(rotations, jnp.float32), jnp.asarray(positions, jnp.float32)
+    if isinstance(scatterer, Body):
+        return _by_body(config, scatterer, *poses, permittivity, conductivity)
+
     def one(pose: tuple[jax.Array, jax.Array]) -> jax.Array:
         return simulated_channel(config, scatterer, *pose, permittivity, conductivity)
 
     # Dense solves go one after the other: each holds matrices of hundreds of megabytes.
-    many = jax.vmap(one) if isinstance(scatterer, Body) else lambda poses: jax.lax.map(one, poses)
-    return jax.jit(many)((jnp.asarray(rotations, jnp.float32), jnp.asarray(positions, jnp.float32)))
+    return jax.jit(lambda poses: jax.lax.map(one, poses))(poses)
+
+
+@partial(jax.jit, static_argnames="config")
+def _by_body(
+    config: Config,
+    body: Body,
+    rotations: jax.Array,
+    positions: jax.Array,
+    permittivity: ArrayLike,
+    conductivity: ArrayLike,
+) -> jax.Array:
+    """Compiled once for all flights of craft of a shape."""
+
+    def one(rotation: jax.Array, position: jax.Array) -> jax.Array:
+        return simulated_channel(config, body, rotation, position, permittivity, conductivity)
+
+    return jax.vmap(one)(rotations, positions)

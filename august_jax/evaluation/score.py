@@ -113,7 +113,7 @@ def score(answer: Answer, truth: Truth, size_m: float) -> dict[str, float | None
 
 
 def score_track(
-    track: Track, config: Config, size_m: float, *, seed: int = 0, search: Search | None = None
+    track: Track, config: Config, size_m: float, *, seed: int = 0, search: Search | None = None, scheme: str = "august"
 ) -> dict[str, list[Row]]:
     """Errors of a track, slot by slot and on average, beside the baselines.
 
@@ -126,12 +126,15 @@ def score_track(
         size_m: half-wheelbase of the craft [m].
         seed: of what the baselines draw.
         search: of some of its slots among known craft.
+        scheme: whose answers the track holds.
 
     Returns:
         ``slots``: one entry a slot, plain numbers and lists: ``slot``, ``time_s``, ``snr_db``; ``position``,
         ``predicted``, ``estimate`` [m]; ``normal``, ``normal_estimate``; ``tilt_deg``, ``tilt_estimate_deg``;
         ``permittivity``, ``conductivity`` [S/m] and their estimates, the clouds' means; ``position_error_m``,
-        ``predicted_error_m``, ``normal_error_deg``, and ``normal_error_up_deg``, that of answering a level craft.
+        ``predicted_error_m``, ``normal_error_deg``, and ``normal_error_up_deg``, that of answering a level craft; None
+        where the scheme says nothing of it. Where the track knows, also ``detected`` (a detection said where to
+        listen), ``lost`` and ``threshold_m``, what the region had to allow for the prediction [m] (None at detections).
         With a search also ``search``, None where the slot was not searched, else ``craft`` (its name, None where no
         known one explains the echo), ``craft_probability`` by name, ``explained``, ``probability`` (that noise leaves
         as much), ``position`` [m], ``normal``, and ``hypotheses``, most probable first: ``craft``, ``probability``,
@@ -144,14 +147,14 @@ def score_track(
     truth = Truth(np.zeros_like(track.position), track.normal, track.truth - origin, track.resampled - origin)
     points = jnp.asarray(track.points - origin)
     root = streams.key(seed, "sense.answer")
-    answers = {
-        "august": Answer(
-            position=track.estimated_position - track.position,
+    own = Answer(position=track.estimated_position - track.position)
+    if points.shape[1] > 1:  # more than a place
+        own = own._replace(
             normal=track.normal_estimate,
-            triple_normal=cloud_normals(streams.named(root, "august"), points)[1],
+            triple_normal=cloud_normals(streams.named(root, scheme), points)[1],
             cloud=WorldCloud(points, track.point_permittivity, track.point_conductivity),
         )
-    }
+    answers = {scheme: own}
     try:
         airframes = [resolve_airframe(name, config.target.half_wheelbase_m) for name in config.target.airframes]
     except ValueError as error:
@@ -161,8 +164,8 @@ def score_track(
         answers["matched_field"] = _about(search, track)
     setting = Setting(config, None, airframes, streams.named(root, "prepared"))
     slots = Slots(track.predicted - track.position, None, None, truth)
-    for name, scheme in SCHEMES.items():
-        ask = None if scheme.hears else scheme.prepare(setting)
+    for name, each in SCHEMES.items():
+        ask = None if each.hears else each.prepare(setting)
         if ask is not None:
             answers[name] = ask(streams.named(root, name), slots)
     rows = []
@@ -221,9 +224,17 @@ def hypotheses(these: Hypotheses | Step, names: Sequence[str], count: int) -> li
 
 
 def _slot(track: Track, slot: int) -> Row:
+    def known(value: Any) -> Any:
+        return value if np.all(np.isfinite(value)) else None
+
     up = np.array([0.0, 0.0, 1.0])
     position, predicted, estimate = track.position[slot], track.predicted[slot], track.estimated_position[slot]
     normal, normal_estimate = track.normal[slot], track.normal_estimate[slot]
+    loop: Row = {}
+    if track.detected is not None and track.lost is not None:
+        loop = {"detected": bool(track.detected[slot]), "lost": bool(track.lost[slot])}
+    if track.threshold_m is not None:
+        loop["threshold_m"] = known(float(track.threshold_m[slot]))
     return {
         "slot": slot,
         "time_s": float(track.time_s[slot]),
@@ -234,15 +245,16 @@ def _slot(track: Track, slot: int) -> Row:
         "position_error_m": float(np.linalg.norm(estimate - position)),
         "predicted_error_m": float(np.linalg.norm(predicted - position)),
         "normal": normal.tolist(),
-        "normal_estimate": normal_estimate.tolist(),
-        "normal_error_deg": _angle_deg(normal_estimate, normal),
+        "normal_estimate": known(normal_estimate.tolist()),
+        "normal_error_deg": known(_angle_deg(normal_estimate, normal)),
         "normal_error_up_deg": _angle_deg(up, normal),
         "tilt_deg": _angle_deg(up, normal),
-        "tilt_estimate_deg": _angle_deg(up, normal_estimate),
+        "tilt_estimate_deg": known(_angle_deg(up, normal_estimate)),
         "permittivity": track.permittivity,
-        "permittivity_estimate": float(track.point_permittivity[slot].mean()),
+        "permittivity_estimate": known(float(track.point_permittivity[slot].mean())),
         "conductivity": track.conductivity,
-        "conductivity_estimate": float(track.point_conductivity[slot].mean()),
+        "conductivity_estimate": known(float(track.point_conductivity[slot].mean())),
+        **loop,
     }
 
 

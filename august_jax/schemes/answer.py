@@ -137,6 +137,7 @@ class Scheme:
         hears: its answer depends on what is heard; where not, one answer serves all SNRs, and it may be asked in
             silence (``heard`` None).
         slow: it takes seconds a slot, so that an evaluation asks it about ``evaluate.searched`` slots and no more.
+        follows: its answer has a position that it knows without the truth, so that a flight can be followed by it.
     """
 
     name: str
@@ -144,3 +145,4 @@ class Scheme:
     prepare: Callable[[Setting], Ask | None]
     hears: bool
     slow: bool = False
+    follows: bool = True

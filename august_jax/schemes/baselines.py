@@ -77,6 +77,6 @@ def _resampling(setting: Setting) -> Ask:
 
 
 PREDICTION = Scheme("prediction", "answering the predicted position", _prediction, hears=False)
-UP = Scheme("up", "answering a level drone", _up, hears=False)
-MEAN_SHAPE = Scheme("mean_shape", "the average drone at the prediction", _mean_shape, hears=False)
-RESAMPLING = Scheme("resampling", "the true surface sampled anew: the floor", _resampling, hears=False)
+UP = Scheme("up", "answering a level drone", _up, hears=False, follows=False)
+MEAN_SHAPE = Scheme("mean_shape", "the average drone at the prediction", _mean_shape, hears=False, follows=False)
+RESAMPLING = Scheme("resampling", "the true surface sampled anew: the floor", _resampling, hears=False, follows=False)

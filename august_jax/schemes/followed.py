@@ -129,6 +129,8 @@ def follow_flight(
         point_permittivity=np.stack([np.asarray(each.permittivity, float) for each in first]),
         point_conductivity=np.stack([np.asarray(each.conductivity, float) for each in first]),
         normal_estimate=np.stack([step.mean_normal for step in steps]),
+        detected=np.array([step.detected for step in steps]),
+        lost=np.array([step.lost for step in steps]),
     )
     return Flown(track, tuple(steps), clouds, library.names, craft)
 

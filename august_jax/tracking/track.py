@@ -1,16 +1,18 @@
-"""A track: what was true and what was reconstructed, slot after slot."""
+"""A track: what was true and what was found, slot after slot."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
 
 import numpy as np
-from jaxtyping import Complex, Float
+from jaxtyping import Bool, Complex, Float
 
 
 @dataclass(frozen=True)
 class Track:
-    """What was true and what was reconstructed in each of T slots; NumPy arrays in the world frame.
+    """What was true and what was found in each of T slots; NumPy arrays in the world frame.
+
+    A scheme that answers a place and no cloud has clouds of one point there, whose material and normal are NaN.
 
     Attributes:
         time_s: time of each slot (T,) [s].
@@ -21,11 +23,15 @@ class Track:
         permittivity, conductivity: the craft's material, [1] and [S/m].
         truth: points of the true surface (T, M, 3) [m].
         resampled: another sample of it (T, M, 3) [m].
-        points: reconstructed points (T, M, 3) [m].
-        point_permittivity, point_conductivity: their materials (T, M), [1] and [S/m].
+        points: reconstructed points (T, n, 3) [m].
+        point_permittivity, point_conductivity: their materials (T, n), [1] and [S/m].
         normal_estimate: unit normal of the rotor plane read from each reconstructed cloud (T, 3).
         received, pilots: all that each echo says about ``predicted`` (T, F, K, K), as
             :class:`august_jax.signal.Statistics` has it; None where that was not kept.
+        detected: whether a detection said where to listen (T,); None where that is not known.
+        lost: whether the craft was noticed not to be where it was looked for (T,); None where nobody asked.
+        threshold_m: what the region had to allow for the prediction (T,) [m], NaN at detections; None where no
+            predictor states it.
     """
 
     time_s: Float[np.ndarray, " slots"]
@@ -37,12 +43,15 @@ class Track:
     conductivity: float
     truth: Float[np.ndarray, "slots points 3"]
     resampled: Float[np.ndarray, "slots points 3"]
-    points: Float[np.ndarray, "slots points 3"]
-    point_permittivity: Float[np.ndarray, "slots points"]
-    point_conductivity: Float[np.ndarray, "slots points"]
+    points: Float[np.ndarray, "slots found 3"]
+    point_permittivity: Float[np.ndarray, "slots found"]
+    point_conductivity: Float[np.ndarray, "slots found"]
     normal_estimate: Float[np.ndarray, "slots 3"]
     received: Complex[np.ndarray, "slots tones orders orders"] | None = None
     pilots: Complex[np.ndarray, "slots tones orders orders"] | None = None
+    detected: Bool[np.ndarray, " slots"] | None = None
+    lost: Bool[np.ndarray, " slots"] | None = None
+    threshold_m: Float[np.ndarray, " slots"] | None = None
 
     @property
     def slots(self) -> int:

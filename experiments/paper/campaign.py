@@ -65,7 +65,8 @@ class Scale:
         thresholds_m: by how much the prediction may miss, region by region [m].
         sizes_m: half-wheelbases, the preset's own first [m].
         permittivity, conductivity_s_m: upper ends of the wide range of materials, [1] and [S/m].
-        flights: that the distribution of tracking errors is of.
+        flights: of each kind, that the distribution of tracking errors is of.
+        tracked: of these, so many of each kind are also followed by the search, which takes half a minute each.
         samples_s: samples a second that a training was measured to take.
     """
 
@@ -81,17 +82,18 @@ class Scale:
     permittivity: float
     conductivity_s_m: float
     flights: int
+    tracked: int
     samples_s: float
 
     def rehearsal(self) -> Scale:
         """A twentieth of all that takes long."""
-        part = {name: max(getattr(self, name) // 20, 1) for name in ("steps", "count", "searched", "flights")}
-        return replace(self, **part)
+        names = ("steps", "count", "searched", "flights", "tracked")
+        return replace(self, **{name: max(getattr(self, name) // 20, 1) for name in names})
 
 
 SCALES = {
     "smoke": Scale(
-        20, 16, 8, 0, (0.0, 30.0), ((4, 2), (4, 1)), ("roi",), (0.5, 0.8), (0.25,), 8.0, 0.1, 2, samples_s=300.0
+        20, 16, 8, 0, (0.0, 30.0), ((4, 2), (4, 1)), ("roi",), (0.5, 0.8), (0.25,), 8.0, 0.1, 2, 0, samples_s=300.0
     ),
     "laptop": Scale(
         3000,
@@ -106,6 +108,7 @@ SCALES = {
         15.0,
         2.0,
         100,
+        8,
         samples_s=2500.0,
     ),
     "paper": Scale(
@@ -121,6 +124,7 @@ SCALES = {
         15.0,
         2.0,
         100,
+        20,
         samples_s=20_000.0,
     ),
 }

@@ -2,12 +2,14 @@
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from types import SimpleNamespace
 
 from august_jax import UNFUSED_SUMS, pipeline
 from august_jax.app import cli, doctor, sums
+from august_jax.tracking.predictors import lstm
 
 
 def test_a_sound_installation_passes(capsys):
@@ -15,8 +17,20 @@ def test_a_sound_installation_passes(capsys):
     captured = capsys.readouterr()
     checks = {check["name"]: check for check in json.loads(captured.out)["checks"]}
     assert status == 0, captured.err
-    assert {"python", "packages", "settings", "devices", "sums", "physics", "cache", "disk", "weights"} <= set(checks)
+    assert {
+        "python",
+        "packages",
+        "settings",
+        "devices",
+        "sums",
+        "physics",
+        "cache",
+        "disk",
+        "weights",
+        "predictor",
+    } <= set(checks)
     assert all(check["passed"] is not False and check["detail"] for check in checks.values())
+    assert "load" in checks["weights"]["detail"] and "loads" in checks["predictor"]["detail"]
 
 
 def test_what_is_broken_is_named(capsys, monkeypatch, tmp_path):
@@ -30,6 +44,23 @@ def test_what_is_broken_is_named(capsys, monkeypatch, tmp_path):
     lines = {line.split()[1]: line for line in captured.out.splitlines()}
     assert lines["cache"].startswith("FAIL") and str(tmp_path) in lines["cache"]
     assert "weights.npz" in lines["weights"]
+
+
+def test_shipped_weights_that_do_not_load_are_named(monkeypatch, tmp_path):
+    """They are there, but not what they should be."""
+    for place, name in ((pipeline.SHIPPED, "weights.npz"), (lstm.SHIPPED, "predictor.npz")):
+        copy = tmp_path / place.name
+        shutil.copytree(place, copy)
+        (copy / name).write_bytes(b"torn")
+    monkeypatch.setattr(pipeline, "SHIPPED", tmp_path / "laptop")
+    monkeypatch.setattr(lstm, "SHIPPED", tmp_path / "predictor")
+    lstm._shipped.cache_clear()
+    for name, check, file in (
+        ("weights", doctor._weights, "weights.npz"),
+        ("predictor", doctor._predictor, "predictor.npz"),
+    ):
+        found = doctor._guarded(name, check)
+        assert found.passed is False and file in found.detail
 
 
 def test_sums_that_are_fused_wrongly_are_named_with_the_way_out(capsys, monkeypatch):

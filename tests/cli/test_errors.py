@@ -26,6 +26,23 @@ CASES = {
     "huge seed": ("demo --seed 99999999999999999999", ["--seed", "2147483647"]),
     "unknown style of flight": ("track --style loops", ["--style", "'loops'", "smooth", "dynamic", "jump"]),
     "flight too short to follow": ("track --preset smoke --slots 3", ["--slots: 3", "too short", "4 or more"]),
+    "unknown scheme to follow": ("track --scheme agust", ["--scheme: 'agust' is no scheme", "did you mean 'august'?"]),
+    "scheme without a place": (
+        "track --scheme up",
+        ["--scheme: 'up' says of no place", "august, matched_field, polar"],
+    ),
+    "unknown predictor": (
+        "track --preset smoke --scheme polar --predictor kalmann",
+        ["--predictor: unknown predictor 'kalmann'", "did you mean 'kalman'?"],
+    ),
+    "predictor that is not asked": ("track --predictor kalman", ["--predictor: matched_field", "leave it out"]),
+    "run that is not asked": ("track --scheme polar --run one", ["--run: polar asks no networks", "--scheme august"]),
+    "no such run to follow": ("track --scheme august --run {tmp}/nowhere", ["{tmp}/nowhere", "august train"]),
+    "flight too short for a loop": ("track --preset smoke --scheme polar --slots 3", ["--slots: 3", "4 or more"]),
+    "predictor of other slots": (
+        "track --preset smoke --scheme polar flight.slot_s=0.1",
+        ["flight.slot_s: 0.1 s", "another predictor", "august train"],
+    ),
     "unknown craft to follow": ("track --airframe quadx", ["quadx", "quad_plus", "mesh file"]),
     "library with a craft twice": ("track --preset smoke target.airframes=[quad_x,quad_x]", ["quad_x", "twice"]),
     "odd digit": ("demo --seed \u00b2", ["--seed", "whole number"]),

@@ -240,6 +240,44 @@ def test_a_demo_that_searches_tells_what_it_found(capsys, home, tmp_path, monkey
     assert "known drones" in (tmp_path / "demo" / "report.html").read_text()
 
 
+def test_networks_follow_a_flight_in_the_smallest_region_that_is_large_enough(capsys, home, tmp_path):
+    """Of two, told by their configurations: the filter asks for 0.61 m on agile flights."""
+    for name, threshold in (("wide", 0.8), ("wider", 1.1)):
+        shutil.copytree(home / "run", tmp_path / name, ignore=shutil.ignore_patterns("checkpoints"))
+        text = (tmp_path / name / "config.yaml").read_text()
+        text = text.replace("scale_m: 0.75", f"scale_m: {0.25 + threshold}")
+        (tmp_path / name / "config.yaml").write_text(text.replace("threshold_m: 0.5", f"threshold_m: {threshold}"))
+    words = ["track", "--scheme", "august", "--predictor", "kalman", "--slots", 5, "--out", tmp_path / "out"]
+    runs = [word for run in (tmp_path / "wider", home / "run", tmp_path / "wide") for word in ("--run", run)]
+    result = call(capsys, *words, *runs, "--style", "dynamic")
+    assert result["weights"] == str(tmp_path / "wide") and result["predictor"] == "kalman"
+    region = result["region"]
+    assert (region["threshold_m"], region["enough"], region["compared"]) == (0.8, True, 3)
+    assert 0.5 < region["needed_m"] < 0.8
+    assert {path.name for path in (tmp_path / "out").iterdir()} == FILES | {"track.png"}
+    rows = {row["scheme"]: row for row in result["schemes"]}
+    assert {"august", "prediction", "up", "mean_shape", "resampling"} <= set(rows)
+    assert rows["august"]["wd_db"] is not None
+    first, last = result["summary"]
+    assert first["lost"] == sum(slot["lost"] for slot in result["slots"]) and last["slots"] == [3, 4]
+    assert [slot["detected"] for slot in result["slots"][:3]] == [True] * 3
+    for slot in result["slots"]:
+        assert (slot["threshold_m"] is None) == slot["detected"]
+
+
+def test_a_point_is_followed_without_networks(capsys, tmp_path):
+    """The same numbers of a slot, null where a point has nothing to say; a flight of few antennas may be lost."""
+    words = ["track", "--scheme", "polar", "--preset", "smoke", "--airframe", "quad_x", "--slots", 5, "--out", tmp_path]
+    result = call(capsys, *words)
+    assert result["predictor"] == "lstm" and result["weights"] is None
+    assert [row["scheme"] for row in result["schemes"]][:2] == ["polar", "prediction"]
+    assert result["schemes"][0]["mpe_m"] > 0.0 and result["schemes"][0]["wd_db"] is None
+    for slot in result["slots"]:
+        assert slot["normal_estimate"] is None and slot["permittivity_estimate"] is None
+        assert len(slot["estimate"]) == 3 and slot["position_error_m"] > 0.0
+    assert (tmp_path / "report.html").is_file()
+
+
 @pytest.mark.parametrize("kind, count", [("ply", 2), ("mat", 1), ("json", 1)])
 def test_export_of_a_flight(capsys, flown, tmp_path, kind, count):
     result = call(capsys, "export", flown, "--format", kind, "--index", 1, "--out", tmp_path)

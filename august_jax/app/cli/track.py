@@ -1,18 +1,29 @@
-"""``august track``: a flight followed slot by slot by what explains its echoes."""
+"""``august track``: a flight followed slot by slot, by what explains its echoes or by any scheme in closed loop."""
 
 from __future__ import annotations
 
 import argparse
 import time
+from dataclasses import replace
 from functools import partial
-from typing import Any, get_args
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, get_args
 
 from august_jax import config as configuration
-from august_jax.app.cli.common import chosen_config, folder
-from august_jax.app.cli.messages import cell, command_line, note, options, table
+from august_jax.app.cli.common import chosen_config, chosen_weights, folder
+from august_jax.app.cli.messages import UsageError, cell, command_line, note, options, table
 from august_jax.app.cli.parser import Command, seed_and_snr, whole
 from august_jax.app.cli.results import array_told, leave
-from august_jax.config import Style, bounds
+from august_jax.config import Config, Style, bounds
+
+if TYPE_CHECKING:
+    from august_jax.pipeline import Networks, Scenario
+
+SEARCHED = "matched_field"
+"""The scheme that carries hypotheses among known drones; all others answer slot by slot, in a predictor's loop."""
+PREDICTOR = "lstm"
+"""The default: it errs least, or as little as the others, on all flights that were measured
+(experiments/prediction.py)."""
 
 
 def _arguments(parser: argparse.ArgumentParser) -> None:
@@ -25,6 +36,25 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
         "--style", choices=get_args(Style), help="of the flight (default: the configuration's flight.style)"
     )
     parser.add_argument(
+        "--scheme",
+        default=SEARCHED,
+        metavar="NAME",
+        help=f"what finds the drone: {SEARCHED}, which knows what may fly (default); august, the networks; polar, "
+        "polar_angles, a single point; prediction, which hears nothing",
+    )
+    parser.add_argument(
+        "--predictor",
+        metavar="NAME",
+        help=f"finite_difference, kalman or lstm (default {PREDICTOR}, which errs least); not with {SEARCHED}",
+    )
+    parser.add_argument(
+        "--run",
+        metavar="RUN",
+        action="append",
+        help="weights of your own training run, for august (default: the shipped ones); given several times, the one "
+        "with the smallest region that is large enough for the predictor is taken, for the whole flight",
+    )
+    parser.add_argument(
         "--airframe",
         metavar="NAME",
         help="what flies (default: drawn from target.airframes, the drones that are known); any other is unknown",
@@ -32,17 +62,27 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(args: argparse.Namespace) -> dict[str, Any]:
-    from august_jax import evaluation, pipeline
-    from august_jax.app import plotting
-    from august_jax.data import channels_along, prepare_targets
-    from august_jax.evaluation.followed import FOLLOWED
-    from august_jax.inference import known_craft
-    from august_jax.schemes import follow_flight
-    from august_jax.schemes.followed import check_slots
-
     started = time.monotonic()
     out = folder(args, "august_track", configured=True)
-    config = chosen_config(args)
+    if args.scheme != SEARCHED:
+        from august_jax.schemes.looped import check_scheme
+
+        check_scheme(args.scheme)
+    own = {
+        "predictor": (args.scheme != SEARCHED, f"{SEARCHED} carries hypotheses of its own from slot to slot"),
+        "run": (args.scheme == "august", f"{args.scheme} asks no networks"),
+    }
+    for option, (used, why) in own.items():
+        if getattr(args, option) is not None and not used:
+            raise UsageError(f"--{option}: {why}; leave it out, or choose --scheme august")
+    return (_searched if args.scheme == SEARCHED else _looped)(args, out, started)
+
+
+def _flying(args: argparse.Namespace, config: Config) -> tuple[Config, Scenario]:
+    """The configuration in the style that is asked for, and what flies."""
+    from august_jax import pipeline
+    from august_jax.schemes.followed import check_slots
+
     if args.style:
         config = configuration.override(config, [f"flight.style={args.style}"])
     shot = pipeline.draw_scenario(config, args.seed, args.slots, args.airframe)
@@ -51,6 +91,115 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
         f"conductivity {1e3 * shot.conductivity:.1f} mS/m"
     )
     check_slots(args.slots)
+    return config, shot
+
+
+def _setup(args: argparse.Namespace, config: Config, shot: Scenario, seconds: float) -> list[tuple[str, str]]:
+    """What both ways of following tell in the report."""
+    return [
+        ("array", array_told(config)),
+        ("flight", f"{config.flight.style}, {args.slots} slots of {config.flight.slot_s:g} s"),
+        ("material", f"permittivity {shot.permittivity:.2f}, conductivity {1e3 * shot.conductivity:.2f} mS/m"),
+        ("detections", f"uniform within {config.region.threshold_m:g} m along each axis: the first three slots, and "
+                       "after a loss"),
+        ("seed", str(args.seed)),
+        ("command", command_line(*args.words)),
+        ("computed in", f"{seconds:.0f} s"),
+    ]  # fmt: skip
+
+
+def _following(args: argparse.Namespace, out: Path) -> list[tuple[str, str]]:
+    again = options(args, "scheme", "predictor", "style", "airframe")
+    again += [word for run in args.run or () for word in ("--run", run)]
+    again += [*(["--preset", args.preset] if args.preset else []), *args.overrides]
+    return [
+        (command_line("track", "--seed", str(args.seed + 1), "--snr", f"{args.snr:g}", *again), "another flight"),
+        (command_line("demo", "--seed", str(args.seed)), "a flight seen by the networks"),
+        (command_line("export", str(out), "--format", "mat"), "the clouds for MATLAB"),
+    ]
+
+
+def _looped(args: argparse.Namespace, out: Path, started: float) -> dict[str, Any]:
+    """A flight in the closed loop of a predictor and a scheme that answers each slot by itself."""
+    from august_jax import evaluation, pipeline
+    from august_jax.app import plotting
+    from august_jax.schemes import SCHEMES, title_of
+    from august_jax.tracking import predictor_for, settled_threshold, smallest_region
+
+    several: list[tuple[Networks | None, Config]]
+    if args.scheme == "august":
+        several = [chosen_weights(args, run) for run in args.run or [None]]
+    else:
+        several = [(None, chosen_config(args))]
+    flight = several[0][1].flight
+    name = args.predictor or PREDICTOR
+    predictor = predictor_for(name, replace(flight, style=args.style or flight.style))
+    needed = settled_threshold(predictor)
+    row = smallest_region([config.region.threshold_m for _, config in several], needed)
+    networks, config = several[row]
+    config, shot = _flying(args, config)
+    region = config.region
+    enough = region.threshold_m >= needed
+    fits = (
+        f"{name} asks for +-{needed:.2f} m on {config.flight.style} flights, the region allows {region.threshold_m:g} m"
+    )
+    if not enough:
+        wide = f"region.threshold_m={needed:.2f} region.scale_m={config.target.half_wheelbase_m + needed:.2f}"
+        note(
+            f"{fits}: no region at hand is large enough, so that losses are to be expected; "
+            + (f"train networks with {wide}, and name them, too" if networks else f"set {wide}")
+        )
+    track = pipeline.sense(
+        networks, config, shot, seed=args.seed, snr_db=args.snr, predictor=predictor, scheme=args.scheme, progress=note
+    )
+    scores = evaluation.score_followed(track, config, shot.airframe.half_wheelbase_m, scheme=args.scheme)
+    seconds = time.monotonic() - started
+    told = title_of(networks) if networks else SCHEMES[args.scheme].label
+    title = f"{shot.airframe.name} at {args.snr:g} dB, followed by {config.array.count} antennas"
+    setup = _setup(args, config, shot, seconds)
+    setup[:0] = [
+        ("scheme", f"{args.scheme}: {told}"),
+        *([("weights", networks.name)] if networks else []),
+        ("predictor", name),
+        ("region", fits + ("" if enough else ": too small")),
+    ]
+    return leave(
+        args,
+        out,
+        config,
+        track,
+        scores,
+        made={
+            "scheme": args.scheme,
+            "predictor": name,
+            "weights": networks.name if networks else None,
+            "style": config.flight.style,
+            "airframe": shot.airframe.name,
+            "region": {"threshold_m": region.threshold_m, "scale_m": region.scale_m, "needed_m": needed,
+                       "enough": enough, "compared": len(several)},
+        },
+        seconds=seconds,
+        title=title,
+        lead=_lead_looped(scores, region.threshold_m),
+        setup=setup,
+        following=_following(args, out),
+        draw=partial(plotting.flight, track, scores["slots"], title=title, threshold_m=region.threshold_m),
+        hypotheses={},
+        scheme=(args.scheme, told.partition(",")[0]),
+        first=_loop_table(scores["summary"]),
+    )  # fmt: skip
+
+
+def _searched(args: argparse.Namespace, out: Path, started: float) -> dict[str, Any]:
+    """A flight followed by hypotheses among known drones."""
+    from august_jax import evaluation
+    from august_jax.app import plotting
+    from august_jax.data import channels_along, prepare_targets
+    from august_jax.evaluation.followed import FOLLOWED
+    from august_jax.inference import known_craft
+    from august_jax.schemes import follow_flight
+
+    config, shot = _flying(args, chosen_config(args))
     note("preparing the known drones: for the first time that takes minutes")
     targets = prepare_targets(config, note)
     library = known_craft(config, targets, progress=note)
@@ -65,24 +214,13 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
     seconds = time.monotonic() - started
     settled = scores["summary"][-1]
     title = f"{shot.airframe.name} at {args.snr:g} dB, followed by {config.array.count} antennas"
-    lead = _lead(settled, flown)
-    setup = [
+    unknown = "" if flown.craft is not None else ", which is none of the known ones"
+    setup = _setup(args, config, shot, seconds)
+    setup[:0] = [
+        ("scheme", f"{SEARCHED}: hypotheses carried from slot to slot"),
         ("known drones", ", ".join(flown.names)),
-        ("array", array_told(config)),
-        ("flight", f"{config.flight.style}, {args.slots} slots of {config.flight.slot_s:g} s"),
-        ("drone", f"{shot.airframe.name}{'' if flown.craft is not None else ', which is none of the known ones'}"),
-        ("material", f"permittivity {track.permittivity:.2f}, conductivity {1e3 * track.conductivity:.2f} mS/m"),
-        ("channel", f"full-wave ({config.data.dense_solver}), echoes in the region's subspace"),
-        ("first predictions", f"uniform within {config.region.threshold_m:g} m along each axis, as of a detection"),
-        ("seed", str(args.seed)),
-        ("command", command_line(*args.words)),
-        ("computed in", f"{seconds:.0f} s, a slot in {settled['seconds']:.2f} s"),
-    ]
-    again = [*options(args, "style", "airframe"), *(["--preset", args.preset] if args.preset else []), *args.overrides]
-    following = [
-        (command_line("track", "--seed", str(args.seed + 1), "--snr", f"{args.snr:g}", *again), "another flight"),
-        (command_line("demo", "--seed", str(args.seed)), "a flight seen by the networks"),
-        (command_line("export", str(out), "--format", "mat"), "the clouds for MATLAB"),
+        ("drone", f"{shot.airframe.name}{unknown}"),
+        ("a slot takes", f"{settled['seconds']:.2f} s"),
     ]
     return leave(
         args,
@@ -90,17 +228,40 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
         config,
         track,
         scores,
-        made={"style": config.flight.style, "airframe": shot.airframe.name, "known": list(flown.names)},
+        made={
+            "scheme": SEARCHED,
+            "style": config.flight.style,
+            "airframe": shot.airframe.name,
+            "known": list(flown.names),
+        },
         seconds=seconds,
         title=title,
-        lead=lead,
+        lead=_lead(settled, flown),
         setup=setup,
-        following=following,
+        following=_following(args, out),
         draw=partial(plotting.flight, track, scores["slots"], title=title),
         hypotheses=dict(enumerate(flown.clouds)),
         scheme=(FOLLOWED, "followed"),
         first=_summary_table(scores["summary"]),
     )
+
+
+def _lead_looped(scores: dict[str, Any], threshold_m: float) -> str:
+    settled = scores["summary"][-1]
+    first, last = settled["slots"]
+    lost = [str(slot["slot"] + 1) for slot in scores["slots"] if slot["lost"]]
+    detected = [str(slot["slot"] + 1) for slot in scores["slots"] if slot["detected"]]
+    lead = (
+        f"From slot {first + 1} to {last + 1} the drone is found {100 * settled['mpe_m']:.1f} cm from where it is on "
+        f"average; the prediction is {100 * settled['predicted_m']:.1f} cm off."
+    )
+    lead += f" It was lost in slot {', '.join(lost)}, and detected anew." if lost else " It was never lost."
+    lead += f" Detections say where to listen in slot {', '.join(detected)}."
+    if settled["narrow"]:
+        lead += (
+            f" In {settled['narrow']} of the others the prediction asks for more than the region's {threshold_m:g} m."
+        )
+    return lead
 
 
 def _lead(settled: dict[str, Any], flown: Any) -> str:
@@ -121,6 +282,23 @@ def _lead(settled: dict[str, Any], flown: Any) -> str:
     if settled["lost"]:
         lead += f" It was lost in {settled['lost']} slot{'s' * (settled['lost'] > 1)}, and searched for again."
     return lead
+
+
+def _loop_table(rows: list[dict[str, Any]]) -> str:
+    names = "slots|MPE [m]|prediction|MDE|lost|detected|region too small"
+    return table(
+        [
+            names.split("|"),
+            *(
+                [
+                    f"{row['slots'][0] + 1}-{row['slots'][1] + 1}",
+                    *(cell(row[name], digits) for name, digits in (("mpe_m", 3), ("predicted_m", 3), ("mde", 4))),
+                    *(str(row[name]) for name in ("lost", "detected", "narrow")),
+                ]
+                for row in rows
+            ),
+        ]
+    )
 
 
 def _summary_table(rows: list[dict[str, Any]]) -> str:
@@ -144,4 +322,4 @@ def _summary_table(rows: list[dict[str, Any]]) -> str:
     )
 
 
-COMMAND = Command("follow a flight slot by slot, by what explains its echoes", _arguments, _run)
+COMMAND = Command("follow a flight slot by slot, by what explains its echoes or by the networks", _arguments, _run)

@@ -20,10 +20,12 @@ from jaxtyping import Float
 
 from august_jax.arrays import Array, ArrayLike
 from august_jax.config import FlightConfig
-from august_jax.tracking.predictors.protocol import Prediction
+from august_jax.tracking.predictors.protocol import ESTIMATE_M, Prediction
 
 _JERK_DENSITY = {"smooth": 1.0, "dynamic": 90.0, "jump": 90.0}
 """J [m^2/s^5] by style of flight: 2 sigma_a^2 / tau of the flights."""
+_SPREAD = {"smooth": 1.0, "dynamic": 0.7, "jump": 9.4}
+"""By style, of estimates that err as the filter takes them to: experiments/prediction.py, mean of both boxes."""
 
 
 class Motion(NamedTuple):
@@ -48,6 +50,7 @@ class Kalman:
         jerk_density: J [m^2/s^5]; 1 for a gently flown multirotor, some 90 for an agile one. A filter of arrays () in
             place of numbers may be mapped over; it is not hashable.
         velocity_m_s, acceleration_m_s2: standard deviations after the first estimate, at rest.
+        spread: see :class:`Predictor`.
     """
 
     slot_s: float
@@ -55,11 +58,13 @@ class Kalman:
     jerk_density: ArrayLike = 1.0
     velocity_m_s: float = 5.0
     acceleration_m_s2: float = 3.0
+    spread: float = 1.0
 
     @classmethod
     def for_flight(cls, flight: FlightConfig) -> Kalman:
         """For flights of a style, seen by networks that err by a decimetre."""
-        return cls(flight.slot_s, noise_m=0.1, jerk_density=_JERK_DENSITY[flight.style])
+        style = flight.style
+        return cls(flight.slot_s, noise_m=ESTIMATE_M, jerk_density=_JERK_DENSITY[style], spread=_SPREAD[style])
 
     def start(self, position: Float[Array, "3"]) -> Motion:
         """See :class:`Predictor`."""

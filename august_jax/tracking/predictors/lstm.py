@@ -18,7 +18,7 @@ The cell (sigma is the logistic function, * elementwise):
     (i, f, g, o) = A (x, h) + b,   c' = sigma(f + 1) * c + sigma(i) * tanh(g),   h' = sigma(o) * tanh(c'),
 
 over the window from c = h = 0, and dq_LSTM / s is linear in the last h. Until there are K estimates nothing is
-corrected. The innovation covariance stays the filter's.
+corrected. The innovation covariance stays the filter's; how much smaller innovations are is measured (``spread``).
 """
 
 from __future__ import annotations
@@ -52,6 +52,9 @@ SHIPPED = Path(__file__).parents[2] / "weights" / "predictor"
 """Weights that come with the package."""
 WEIGHTS = "predictor.npz"
 """Beside ``config.yaml`` in a folder of weights."""
+_SPREAD = {"smooth": 0.87, "dynamic": 0.44, "jump": 3.7}
+"""Of the shipped weights by style, of estimates that err by 10 cm along an axis: experiments/prediction.py, mean of its
+boxes."""
 
 
 class MotionLSTM(nnx.Module):
@@ -165,10 +168,12 @@ class KalmanLSTM:
     Attributes:
         kalman: the filter.
         corrector: the network.
+        spread: see :class:`Predictor`.
     """
 
     kalman: Kalman = field(metadata={"static": True})
     corrector: Corrector
+    spread: float = field(default=1.0, metadata={"static": True})
 
     @classmethod
     def for_flight(cls, flight: FlightConfig, run: str | Path | None = None) -> KalmanLSTM:
@@ -185,9 +190,9 @@ class KalmanLSTM:
         if not isclose(trained, flight.slot_s, rel_tol=1e-6):
             raise ValueError(
                 f"flight.slot_s: {flight.slot_s:g} s, but the predictor was trained with slots of {trained:g} s; keep "
-                "these, or train one: august train with target=predictor"
+                "these, choose another predictor, or train one: august train with target=predictor"
             )
-        return cls(Kalman.for_flight(flight), corrector)
+        return cls(Kalman.for_flight(flight), corrector, _SPREAD[flight.style])
 
     def start(self, position: Float[Array, "3"]) -> Course:
         """See :class:`Predictor`."""

@@ -13,6 +13,9 @@ from jaxtyping import Float
 
 from august_jax.arrays import Array
 
+ESTIMATE_M = 0.1
+"""What a predictor for flights takes an estimate to err by, a standard deviation along an axis [m]: networks do in some
+12 cm at 20 dB, all axes together."""
 State = Any
 """A pytree of arrays whose shapes never change."""
 
@@ -32,7 +35,13 @@ class Prediction(NamedTuple):
 
 @runtime_checkable
 class Predictor(Protocol):
-    """Three functions of positions [m], pure and mappable."""
+    """Three functions of positions [m], pure and mappable, and how far their covariance is to be trusted."""
+
+    @property
+    def spread(self) -> float:
+        """Mean squared innovation in units of the stated covariance, an axis, as measured on flights; 1 where it is
+        right."""
+        ...
 
     def start(self, position: Float[Array, "3"]) -> State:
         """The state after the first estimate (3,) [m]."""
