@@ -328,6 +328,60 @@ def evaluation_curves(rows: Sequence[Mapping[str, Any]], png: str | Path, *, tit
     save(figure, png)
 
 
+def cross_sections(
+    azimuth_deg: Float[np.ndarray, " a"],
+    elevation_deg: Float[np.ndarray, " e"],
+    frequency_hz: Sequence[float],
+    entries: Mapping[str, Float[np.ndarray, "e a f"]],
+    png: str | Path,
+    *,
+    title: str,
+) -> None:
+    """Radar cross-sections [dBsm]: cuts over azimuth, level and from 45 degrees below, or over elevation where there is
+    one azimuth; and all directions at once.
+
+    Args:
+        azimuth_deg, elevation_deg: of the directions [degrees].
+        frequency_hz: the first is drawn [Hz].
+        entries: name of two polarisations, received and sent -> dBsm by elevation, azimuth and frequency.
+        png: the file.
+        title: of the picture.
+    """
+    level = int(np.argmin(np.abs(elevation_deg)))
+    below = int(np.argmin(np.abs(elevation_deg + 45.0)))
+    rows = list(dict.fromkeys((level, below))) if len(azimuth_deg) > 1 else [None]
+    whole = len(azimuth_deg) > 1 and len(elevation_deg) > 1
+    figure = new_figure(4.2 * (len(rows) + whole), 4.6)
+    top = max(float(values[..., 0].max()) for values in entries.values())
+    low, high = 5.0 * np.floor((top - 40.0) / 5.0), 5.0 * np.ceil((top + 1.0) / 5.0)
+    inks = dict(zip(entries, (MODEL, BASE, "#7a8894", "#1c8a8a")))
+    for place, row in enumerate(rows):
+        axes = figure.add_subplot(1, len(rows) + whole, place + 1, projection="polar")
+        turns = np.radians(elevation_deg if row is None else azimuth_deg)
+        for name, values in entries.items():
+            cut = values[:, 0, 0] if row is None else values[row, :, 0]
+            axes.plot(turns, np.maximum(cut, low), color=inks[name], lw=1.4, label=name.upper(),
+                      ls="-" if name in ("hh", "vv") else ":")  # fmt: skip
+        axes.set(rlim=(low, high), theta_zero_location="N" if row is not None else "E")
+        axes.tick_params(colors=SOFT, labelsize=8)
+        axes.grid(color=LINE, lw=0.7)
+        cut_at = f"azimuth {azimuth_deg[0]:g}" if row is None else f"elevation {elevation_deg[row]:g}"
+        axes.set_title(f"{cut_at} degrees [dBsm]", fontsize=10)
+    if whole:
+        axes = figure.add_subplot(1, len(rows) + 1, len(rows) + 1)
+        drawn = axes.pcolormesh(
+            azimuth_deg, elevation_deg, entries["vv"][..., 0], vmin=low, vmax=high, cmap="viridis", shading="nearest"
+        )
+        figure.colorbar(drawn, ax=axes, location="bottom", label="VV [dBsm]", shrink=0.9)
+        axes.set(xlabel="azimuth [degrees]", ylabel="elevation [degrees]")
+        axes.set_title("all directions", fontsize=10)
+        axes.tick_params(colors=SOFT, labelsize=8)
+    lines, labels = figure.axes[0].get_legend_handles_labels()
+    figure.legend(lines, labels, loc="outside lower left", ncols=4, frameon=False, fontsize=9)
+    figure.suptitle(f"{title}, {frequency_hz[0] / 1e9:.4g} GHz", x=0.01, ha="left", fontsize=12, fontweight="bold")
+    save(figure, png)
+
+
 def new_figure(width: float, height: float) -> Figure:
     """An empty figure of the given size [inch] that belongs to no window."""
     from matplotlib.figure import Figure

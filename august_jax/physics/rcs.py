@@ -43,7 +43,7 @@ from august_jax.physics.checks import (
     settled_cells,
     warn_of_coarse_cells,
 )
-from august_jax.physics.mom import centred, interaction_matrix, solve_dense, weighted_fields
+from august_jax.physics.mom import interaction_matrix, solve_dense, weighted_fields
 
 POLARISATIONS = ("H", "V")
 """Of rows (received) and columns (sent) of a scattering matrix."""
@@ -185,12 +185,13 @@ def _of_body(body, receive, transmit, contrast):
 
 @partial(jax.jit, static_argnums=4)
 def _of_cells(cells, receive, transmit, contrast, k):
-    place = centred(cells)
-    middle = jnp.mean(jnp.asarray(cells.positions), axis=0)
+    places = jnp.asarray(cells.sites())
+    middle = jnp.mean(places, axis=0)
+    place = places - middle
     matrix = interaction_matrix(cells, k)
 
     def waves(directions):
-        # about the cells' middle, whose phases come last: small numbers keep their digits
+        # about the middle, whose phases come last: small numbers keep their digits
         return weighted_fields(cells, _plane_waves(place, directions, k))
 
     count = receive.shape[0]

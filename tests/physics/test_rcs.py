@@ -54,14 +54,20 @@ def test_a_sphere_has_the_cross_section_of_mie_over_angle(ka, across, within_db)
     assert np.all(np.abs(found[:, 0, 1]) < 1e-3 * strongest) and np.all(np.abs(found[:, 1, 0]) < 1e-3 * strongest)
 
 
-def test_a_factored_body_answers_plane_waves_as_the_coupled_solve_of_its_cells(body):
+@pytest.mark.parametrize("shifted", [False, True])
+def test_a_factored_body_answers_plane_waves_as_the_coupled_solve_of_its_cells(shifted):
+    cells = cross()
+    if shifted:  # the material lies beside the middles of its cells
+        aside = np.random.default_rng(4).uniform(-0.004, 0.004, cells.positions.shape)
+        cells = cells._replace(centroids=cells.positions + aside)
+    body = factor_body(cells, 3e9, nearest_m=2.0, cache=False)
     receive, transmit = (
         looking(np.array([0.0, 50.0, 130.0, 250.0]), np.array([0.0, -30.0, 70.0, 10.0])),
         looking(20.0, -50.0),
     )
     fast = np.asarray(scattering_matrix(body, receive, CHI, transmit=transmit))
     with jax.enable_x64(True):
-        slow = np.asarray(scattering_matrix(cross(), receive, CHI, transmit=transmit, frequency_hz=3e9))
+        slow = np.asarray(scattering_matrix(cells, receive, CHI, transmit=transmit, frequency_hz=3e9))
     assert np.linalg.norm(fast - slow) < 1e-3 * np.linalg.norm(slow)
 
 

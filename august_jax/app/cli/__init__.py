@@ -1,4 +1,4 @@
-"""The command line: ``august doctor | demo | simulate | train | evaluate | reconstruct | track | export``.
+"""The command line: ``august doctor | demo | simulate | train | evaluate | reconstruct | track | rcs | export``.
 
 Here arguments become a configuration and a call, and results become lines and files; what is computed lives elsewhere.
 Results go to stdout (as JSON with ``--json``), progress to stderr. The exit status is 0; or 2 with at most six lines on
@@ -16,7 +16,7 @@ import sys
 import warnings
 from collections.abc import Sequence
 
-from august_jax.app.cli import demo, doctor, evaluate, export, reconstruct, simulate, track, train
+from august_jax.app.cli import demo, doctor, evaluate, export, rcs, reconstruct, simulate, track, train
 from august_jax.app.cli.messages import note, told
 from august_jax.app.cli.parser import parse
 
@@ -28,6 +28,7 @@ COMMANDS = {
     "evaluate": evaluate.COMMAND,
     "reconstruct": reconstruct.COMMAND,
     "track": track.COMMAND,
+    "rcs": rcs.COMMAND,
     "export": export.COMMAND,
 }
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from august_jax import config as configuration
+from august_jax.app.cli.parser import number
 from august_jax.config import Config, ConfigError
 
 if TYPE_CHECKING:
@@ -42,6 +43,30 @@ def folder(args: argparse.Namespace, default: str, *, configured: bool = False) 
             f"{'read-only' if parent.is_dir() else 'a file'}; choose another folder"
         )
     return out
+
+
+def mesh_arguments(parser: argparse.ArgumentParser, *, required: bool) -> None:
+    """``--mesh`` and how its file is read, and the craft's size."""
+    parser.add_argument(
+        "--mesh", required=required, metavar="FILE", help="OBJ, STL, PLY, GLB, or DAE with the extra [dae]"
+    )
+    parser.add_argument(
+        "--unit",
+        default="auto",
+        help="of the file: m, cm, mm, in, ft, or metres a unit (default: what the file or its format says, else m)",
+    )
+    parser.add_argument(
+        "--up",
+        default="auto",
+        metavar="AXIS",
+        help="the file's upward axis, such as y or -z (default: the format's, else z)",
+    )
+    parser.add_argument(
+        "--forward", default="auto", metavar="AXIS", help="the file's forward axis (default: the format's, else x)"
+    )
+    parser.add_argument(
+        "--half-wheelbase", type=number("target.half_wheelbase_m"), metavar="M", help="scale to this half-wheelbase [m]"
+    )
 
 
 def chosen_config(args: argparse.Namespace) -> Config:

@@ -15,7 +15,8 @@ from august_jax.app.cli.messages import UsageError
 from august_jax.config import Bounds
 
 _ASSIGNMENT = re.compile(r"[a-z_]\w*(\.\w+)*=")
-_SIGNED = ("--position", "--up", "--forward", "--yaw", "--pitch", "--roll", "--snr", "--index")
+_SIGNED = ("--azimuth", "--elevation", "--forward", "--index", "--pitch", "--position", "--roll", "--snr", "--transmit",
+           "--up", "--yaw")  # fmt: skip
 """Options whose value may begin with a minus sign."""
 
 

@@ -7,31 +7,14 @@ import time
 from pathlib import Path
 from typing import Any
 
-from august_jax.app.cli.common import chosen_weights, sha256_of
+from august_jax.app.cli.common import chosen_weights, mesh_arguments, sha256_of
 from august_jax.app.cli.messages import command_line, note, options
 from august_jax.app.cli.parser import ANGLE, Command, number, numbers, seed_and_snr
 from august_jax.app.cli.sensing import search_arguments, sensed
 
 
 def _arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--mesh", required=True, metavar="FILE", help="OBJ, STL, PLY, GLB, or DAE with the extra [dae]")
-    parser.add_argument(
-        "--unit",
-        default="auto",
-        help="of the file: m, cm, mm, in, ft, or metres a unit (default: what the file or its format says, else m)",
-    )
-    parser.add_argument(
-        "--up",
-        default="auto",
-        metavar="AXIS",
-        help="the file's upward axis, such as y or -z (default: the format's, else z)",
-    )
-    parser.add_argument(
-        "--forward", default="auto", metavar="AXIS", help="the file's forward axis (default: the format's, else x)"
-    )
-    parser.add_argument(
-        "--half-wheelbase", type=number("target.half_wheelbase_m"), metavar="M", help="scale to this half-wheelbase [m]"
-    )
+    mesh_arguments(parser, required=True)
     parser.add_argument(
         "--position", type=numbers(3, "flight.box_m"), metavar="X,Y,Z", help="[m] (default: the flight box's centre)"
     )

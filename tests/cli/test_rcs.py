@@ -1,0 +1,88 @@
+"""``august rcs``: files that agree with one another and with the library, and refusals with the way out."""
+
+import json
+
+import numpy as np
+import pytest
+import scipy.io
+from test_experiments import assert_ink
+
+from august_jax.app import cli
+from august_jax.config import preset
+from august_jax.data.simulator import lattice_of
+from august_jax.physics import contrast, dbsm, looking, scattering_matrix
+from august_jax.scene import procedural_airframe
+
+COARSE = ("--preset", "smoke", "target.cell_m=0.05")
+LOOKS = ("--azimuth", "-180:180:90", "--elevation", "-30:30:30")
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory):
+    """A folder with the cross-sections of a coarse craft, and what the command said."""
+    import contextlib
+    import io
+
+    out, said = tmp_path_factory.mktemp("rcs"), io.StringIO()
+    with contextlib.redirect_stdout(said):
+        words = ["rcs", "quad_x", *COARSE, *LOOKS, "--frequency", "2.9,3.0", "--permittivity", "3", "--out", str(out)]
+        assert cli.main([*words, "--json"]) == 0
+    return out, json.loads(said.getvalue())
+
+
+@pytest.mark.filterwarnings("ignore:cells.volumes")
+def test_every_file_holds_the_same_and_what_the_coupled_solve_gives(found):
+    out, said = found
+    stored = np.load(out / "rcs.npz")
+    assert stored["rcs_vv_dbsm"].shape == (3, 5, 2)
+    np.testing.assert_array_equal(stored["azimuth_deg"], [-180, -90, 0, 90, 180])
+    np.testing.assert_allclose(stored["rcs_vv_dbsm"][:, 0], stored["rcs_vv_dbsm"][:, -1], atol=1e-3)
+    matlab = scipy.io.loadmat(out / "rcs.mat")
+    np.testing.assert_array_equal(matlab["rcs_hv_dbsm"], stored["rcs_hv_dbsm"])
+    table = np.genfromtxt(out / "rcs.csv", delimiter=",", names=True)
+    np.testing.assert_allclose(table["hh_dbsm"].reshape(3, 5, 2), stored["rcs_hh_dbsm"], atol=1e-4)
+    np.testing.assert_allclose(table["azimuth_deg"].reshape(3, 5, 2)[0, :, 0], stored["azimuth_deg"])
+    assert_ink(out / "rcs.png")
+    config = preset("smoke")
+    airframe = procedural_airframe("quad_x", config.target.half_wheelbase_m)
+    from dataclasses import replace
+
+    cells, _ = lattice_of(airframe, replace(config.target, cell_m=0.05))
+    assert said["cells"] == cells.count
+    chi = complex(contrast(3.0, sum(config.target.conductivity_s_m) / 2.0, 3e9))
+    matrix = scattering_matrix(cells, looking(np.array([90.0]), -30.0), chi, frequency_hz=3e9)
+    wanted = np.asarray(dbsm(matrix))[0]
+    assert abs(stored["rcs_hh_dbsm"][0, 3, 1] - wanted[0, 0]) < 0.1
+    assert abs(stored["rcs_vv_dbsm"][0, 3, 1] - wanted[1, 1]) < 0.1
+
+
+def test_the_summary_is_of_the_directions_by_solid_angle(found):
+    out, said = found
+    stored, row = np.load(out / "rcs.npz"), said["summary"][0]
+    assert (row["polarisation"], row["frequency_hz"]) == ("hh", 2.9e9)
+    values = stored["rcs_hh_dbsm"][..., 0]
+    assert row["least_dbsm"] == pytest.approx(values.min()) and row["most_dbsm"] == pytest.approx(values.max())
+    weight = np.cos(np.radians(stored["elevation_deg"]))[:, None]
+    mean = 10.0 * np.log10(np.sum(weight * 10.0 ** (values / 10.0)) / (weight.sum() * values.shape[1]))
+    assert row["mean_dbsm"] == pytest.approx(mean, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    "words, told",
+    [
+        ((), "AIRFRAME: give a procedural one (quad_x, "),
+        (("quad_x", "--mesh", "x.stl"), "--mesh FILE, and not both"),
+        (("quad_y",), "airframe 'quad_y': neither a family"),
+        (("quad_x", "--azimuth", "10:0:1"), "--azimuth: '10:0:1': the end is not above the beginning"),
+        (("quad_x", "--azimuth", "0:360"), "--azimuth: '0:360' is neither A:B:STEP nor a number"),
+        (("quad_x", "--azimuth", "0:360:0"), "--azimuth: 0 must lie in 0.001 to 360 degrees"),
+        (("quad_x", "--elevation", "0:100:5"), "--elevation: 100 must lie in -90 to 90 degrees"),
+        (("quad_x", "--azimuth", "-180:180:0.01"), "directions at 1 frequencies are more than 200000"),
+        (("quad_x", "--frequency", "3,2"), "--frequency: '3,2': give each frequency once, the lowest first"),
+        (("quad_x", "--frequency", "0"), "--frequency: 0 must lie in 0.1 to 100 GHz"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(capsys, tmp_path, words, told):
+    assert cli.main(["rcs", *words, "--out", str(tmp_path / "out")]) == 2
+    error = " ".join(capsys.readouterr().err.split())
+    assert told in error and not (tmp_path / "out").exists()
