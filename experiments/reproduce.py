@@ -1,4 +1,4 @@
-"""All figures of the paper, in order: trains what is missing, evaluates it, computes and draws.
+"""All figures of the paper and some beyond it, in order: trains what is missing, evaluates it, computes and draws.
 
     python experiments/reproduce.py NAME ...|all --preset laptop [--plan] [--budget MINUTES]
 
@@ -26,7 +26,7 @@ from schemes_over_snr import asked
 
 from august_jax.config import ConfigError
 
-NAMES = (
+PAPER = (
     "position_error",
     "shape_error",
     "attitude_error",
@@ -41,10 +41,14 @@ NAMES = (
     "craft_size",
     "craft_material",
 )
-"""The figures, those first that most others share networks with."""
+"""The paper's figures, those first that most others share networks with."""
+NAMES = (*PAPER, "bandwidth", "soft_boundary", "left_out")
+"""All figures; of the last ones the paper says nothing."""
 _COMPILE_S = {"smoke": 15.0, "laptop": 40.0, "paper": 60.0}
 _BODIES_S = {"smoke": 10.0, "laptop": 180.0, "paper": 240.0}
 _EVALUATE_S_PER_SLOT = {"smoke": 0.3, "laptop": 0.05, "paper": 0.6}
+_PER_TONE = 0.2
+"""Of a training's time, for each tone beside the first."""
 _RUN_MIB = {"smoke": 3.0, "laptop": 160.0, "paper": 420.0}
 _LEAST_S = 20.0
 
@@ -94,10 +98,13 @@ def plan(chosen: Sequence[Figure], campaign: Campaign) -> list[Piece]:
         config = campaign.config(run)
         done = campaign.trained(run)
         left = max(config.train.steps - done, 0)
-        seconds = left * config.train.batch / scale.samples_s + (_COMPILE_S[preset] if left else 0.0)
+        tones = len(config.array.frequencies_hz)
+        slower = 1.0 + _PER_TONE * (tones - 1)
+        seconds = slower * left * config.train.batch / scale.samples_s + (_COMPILE_S[preset] if left else 0.0)
         shape = (config.target, config.array, config.flight.box_m)
         if left and shape not in bodies:
-            seconds += _BODIES_S[preset]  # at most: bodies are cached
+            area = (config.target.half_wheelbase_m / campaign.base.target.half_wheelbase_m) ** 2
+            seconds += area * tones * _BODIES_S[preset]  # at most: bodies are cached
         bodies.add(shape)
         pieces.append(Piece(f"train {run.name}: {done} of {config.train.steps} steps", not left, seconds / 60.0,
                             0.0 if done else _RUN_MIB[preset]))  # fmt: skip

@@ -88,7 +88,7 @@ def faults(found: Sequence[Claim], names: Sequence[str], results: Path) -> list[
 
     Args:
         found: of :func:`claims`.
-        names: the figures, each of which needs a claim.
+        names: the paper's figures, each of which needs a claim.
         results: folder of the results.
     """
     wrong = [f"{name}: no claim is about this figure" for name in names if name not in {c["figure"] for c in found}]
@@ -156,10 +156,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--write", action="store_true", help="write the table into experiments/README.md")
     args = parser.parse_args(argv)
     sys.path.insert(0, str(HERE / "paper"))
-    from reproduce import NAMES
+    from reproduce import PAPER
 
     found, results = claims(), HERE / "results"
-    wrong = faults(found, NAMES, results)
+    wrong = faults(found, PAPER, results)
     print("\n".join(wrong) or f"{len(found)} claims, every number as the results have it")
     if args.write:
         readme = HERE / "README.md"

@@ -153,11 +153,34 @@ def test_the_bound_is_drawn_once_where_all_hear_alike_and_line_by_line_where_not
         assert sum(label.startswith("what the search expects") for label in axes.get_legend_handles_labels()[1]) == 1
 
 
+def beyond(name):
+    """Rows of the figures that the paper does not have, over what each of them is over."""
+    from answered import table
+
+    lines = ("august", "AUGUST", "without", "all", "matched_field", "search")
+    found = []
+    for number, level in enumerate((1.0, 2.0, 4.0, 8.0)):
+        for line in (*lines, "prediction", "up", "mean_shape", "resampling"):
+            (own,) = [row for row in rows(level) if (row["scheme"], row["snr_db"]) == ("august", 0.0)]
+            over = {"tones": level, "range_m": 10.0 * level, "snr_db": 30.0 - 10.0 * number}
+            # beyond two, the search expects more than its bound allows
+            expected = {"expected_mpe_m": 0.05 * level**2, "own_bound_m": 0.05 * level, "explained": 0.5 / level,
+                        "expected_mde": 1e-3 * level**3, "own_bound_mde": 1e-3 * level}  # fmt: skip
+            said = expected if line in ("matched_field", "search") else {}
+            found += [own | over | said | {"line": line, "world": world} for world in ("left out", "known")]
+    numbers = table(found)
+    if name == "left_out":
+        return numbers
+    return {column: values[numbers["world"] == "known"] for column, values in numbers.items()}
+
+
 def made_up(figure, here):
     """Numbers of the shapes that a figure draws."""
     from campaign import Run
 
     rng = np.random.default_rng(0)
+    if figure.name in ("bandwidth", "soft_boundary", "left_out"):
+        return beyond(figure.name)
     if figure.name in ("position_error", "shape_error", "attitude_error", "array_size", "region_size"):
         here.rows = lambda run, searched=False: rows(0.2 + 0.01 * len(run.name))
         return figure.compute(here)
@@ -193,7 +216,7 @@ def made_up(figure, here):
     return clouds
 
 
-@pytest.mark.parametrize("number", range(13))
+@pytest.mark.parametrize("number", range(16))
 def test_a_figure_is_drawn_from_its_numbers(reproduce, number):
     from figure import picture
 
@@ -205,7 +228,7 @@ def test_a_figure_is_drawn_from_its_numbers(reproduce, number):
 
 
 def test_every_figure_has_a_script_and_every_script_is_in_the_list(reproduce):
-    assert len(reproduce.NAMES) == 13
+    assert len(reproduce.NAMES) == 16
     for figure in reproduce.figures(["all"]):
         assert figure.minutes > 0.0 and figure.subject and figure.paper
     found = {
@@ -215,6 +238,43 @@ def test_every_figure_has_a_script_and_every_script_is_in_the_list(reproduce):
     told = (scripts.ROOT / "experiments" / "README.md").read_text()
     studies = scripts.defining("experiments", "compute", "draw")
     assert all(f"`{name}.py`" in told for name in (*found, *studies))
+
+
+def test_the_soft_boundary_is_where_a_search_expects_more_than_its_bound_allows(reproduce):
+    (figure,) = reproduce.figures(["soft_boundary"])
+    from soft_boundary import boundary_m
+
+    numbers = beyond(figure.name)
+    assert boundary_m(numbers, "position") == 10.0 and boundary_m(numbers, "normal") == 10.0
+    search = numbers["line"] == "search"
+    near = numbers | {"expected_mpe_m": np.where(search, numbers["own_bound_m"], np.nan)}
+    assert boundary_m(near, "position") is None  # nowhere in sight
+    assert boundary_m({name: values[~search] for name, values in numbers.items()}, "position") is None
+
+
+def test_a_search_is_asked_slot_by_slot_and_says_what_it_explains(reproduce, monkeypatch, unchecked):
+    from answered import Asked, row
+    from made_up_posterior import MadeUpLibrary, made_up_posterior, search_is_made_up
+
+    from august_jax.config import preset
+    from august_jax.schemes import Slots, Truth
+    from august_jax.signal import Statistics
+
+    config, count = preset("smoke"), 3
+    search_is_made_up(monkeypatch, unexplained=(1,))
+    place = np.array([[5.0, 6.0, 3.0], [4.0, 7.0, 2.0], [6.0, 5.0, 4.0]], np.float32)
+    cloud = place[:, None] + np.random.default_rng(0).normal(scale=0.1, size=(count, 64, 3)).astype(np.float32)
+    none = np.zeros((count, 1, 7, 7), np.complex64)
+    slots = Slots(place, np.full(count, 20.0, np.float32), None,
+                  Truth(place, np.tile(np.array([0.0, 0.0, 1.0], np.float32), (count, 1)), cloud, cloud),
+                  Statistics(none, none, place))  # fmt: skip
+    told = []
+    found = row(Asked("a line", "matched_field", config, None, MadeUpLibrary(config.target.airframes)), slots, 0.25,
+                told.append)  # fmt: skip
+    assert (found["line"], found["count"], len(told)) == ("a line", count, count)
+    assert found["explained"] == pytest.approx(2 / 3)
+    off = np.linalg.norm(made_up_posterior(np.zeros(3)).mean_position)
+    assert found["mpe_m"] == pytest.approx(off, abs=1e-4) and found["expected_mpe_m"] > 0.0
 
 
 @pytest.mark.slow

@@ -96,9 +96,9 @@ def test_the_table_stands_between_its_marks(verdict):
 
 
 def test_the_verdict_holds_against_the_results_and_the_readme_has_it(verdict):
-    from reproduce import NAMES
+    from reproduce import PAPER
 
     found, results = verdict.claims(), scripts.ROOT / "experiments" / "results"
-    assert not verdict.faults(found, NAMES, results)
+    assert not verdict.faults(found, PAPER, results)
     text = (scripts.ROOT / "experiments" / "README.md").read_text(encoding="utf-8")
     assert verdict.written(text, verdict.lines(found, results)) == text

@@ -38,6 +38,9 @@ RESULTS = Path(__file__).parent.parent / "results"
 STREAMED = ("train.source=stream", "data.solver=table", "train.reobserve=true", "data.observed=false")
 """Every run learns from samples that are made as it learns, so that none needs a data set."""
 
+BAND_HZ = 100e6
+"""That several tones span, evenly about the carrier."""
+
 Numbers = dict[str, np.ndarray]
 Rows = list[dict[str, Any]]
 
@@ -68,6 +71,7 @@ class Scale:
         flights: of each kind, that the distribution of tracking errors is of.
         tracked: of these, so many of each kind are also followed by the search, which takes half a minute each.
         samples_s: samples a second that a training was measured to take.
+        tones: over :data:`BAND_HZ`, one tone first.
     """
 
     steps: int
@@ -84,6 +88,7 @@ class Scale:
     flights: int
     tracked: int
     samples_s: float
+    tones: tuple[int, ...] = (1, 2, 4, 8)
 
     def rehearsal(self) -> Scale:
         """A twentieth of all that takes long."""
@@ -93,7 +98,7 @@ class Scale:
 
 SCALES = {
     "smoke": Scale(
-        20, 16, 8, 0, (0.0, 30.0), ((4, 2), (4, 1)), ("roi",), (0.5, 0.8), (0.25,), 8.0, 0.1, 2, 0, samples_s=300.0
+        20, 16, 8, 0, (0.0, 30.0), ((4, 2), (4, 1)), ("roi",), (0.5, 0.8), (0.25,), 8.0, 0.1, 2, 0, 300.0, tones=(1, 2)
     ),
     "laptop": Scale(
         3000,
@@ -152,9 +157,10 @@ def run_of(
     threshold_m: float | None = None,
     size_m: float | None = None,
     wide: bool = False,
+    tones: int = 1,
 ) -> Run:
-    """The run of a scheme, an encoder, an array, a region, a craft's size and a range of materials; None takes what
-    stands first in the preset's :class:`Scale`."""
+    """The run of a scheme, an encoder, an array, a region, a craft's size, a range of materials and a number of tones;
+    None takes what stands first in the preset's :class:`Scale`."""
     scale = SCALES[preset_name]
     encoder = encoder or scale.encoders[0]
     nx, nz = array or scale.arrays[0]
@@ -182,6 +188,10 @@ def run_of(
             f"region.permittivity_max={scale.permittivity:g}",
             f"region.conductivity_max_s_m={scale.conductivity_s_m:g}",
         ]
+    if tones > 1:
+        name += f"-{tones}tones"
+        comb = preset(preset_name).array.frequency_hz + 0.5 * BAND_HZ * np.linspace(-1.0, 1.0, tones)
+        assignments.append(f"array.tones_hz=[{','.join(f'{tone:.0f}' for tone in comb)}]")
     return Run(name, tuple(assignments))
 
 

@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from campaign import RESULTS, SCALES, Campaign, Numbers, OtherConfiguration, Rows, Run, digest_of
-from matplotlib.ticker import NullFormatter
 
 from august_jax.files import replacing
 
@@ -185,6 +184,7 @@ def over_snr(
     error: str | None = None,
     bound: str | None = None,
     logarithmic: bool = True,
+    over: str = "snr_db",
 ) -> None:
     """A metric over SNR: the lines with error bars, what takes no information, the floor, and the bound.
 
@@ -196,21 +196,22 @@ def over_snr(
         error: column of its standard error.
         bound: column of what an unbiased estimator that knows the craft errs by; one for each line where they differ.
         logarithmic: the metric's axis.
+        over: column that takes the SNR's place.
     """
     for number, (name, (label, color, style)) in enumerate(lines.items()):
         at = (numbers["line"] == name) & np.isfinite(numbers[metric])
         if at.any():
             bars = None if error is None else numbers[error][at]
-            axes.errorbar(numbers["snr_db"][at], numbers[metric][at], bars, color=color, ls=style, lw=1.1, capsize=1.5,
+            axes.errorbar(numbers[over][at], numbers[metric][at], bars, color=color, ls=style, lw=1.1, capsize=1.5,
                           marker=MARKS[number % len(MARKS)], ms=3, label=label)  # fmt: skip
     for name in BASELINES[metric]:
         label, color, style = _NONE[name]
         at = (numbers["line"] == name) & np.isfinite(numbers[metric])
         if at.any():
-            axes.plot(numbers["snr_db"][at], numbers[metric][at], color=color, ls=style, lw=1.0, label=label)
+            axes.plot(numbers[over][at], numbers[metric][at], color=color, ls=style, lw=1.0, label=label)
     if bound is not None:
         limits = {
-            name: tuple(sorted(zip(numbers["snr_db"][at], numbers[bound][at])))
+            name: tuple(sorted(zip(numbers[over][at], numbers[bound][at])))
             for name in lines
             if (at := (numbers["line"] == name) & np.isfinite(numbers[bound])).any()
         }
@@ -223,14 +224,20 @@ def over_snr(
     expected = EXPECTED.get(metric)
     at = np.isfinite(numbers[expected]) if expected is not None and expected in numbers else np.zeros(1, bool)
     if at.any():
-        pairs = sorted(zip(numbers["snr_db"][at], numbers[expected][at]))
+        pairs = sorted(zip(numbers[over][at], numbers[expected][at]))
         axes.plot(*np.array(pairs).T, color=SEARCHED, ls=":", lw=1.0, label="what the search expects to err by")
     if logarithmic:
         axes.set_yscale("log")
         axes.yaxis.set_major_formatter("{x:g}")
-        axes.yaxis.set_minor_formatter("{x:g}" if np.ptp(np.log10(axes.get_ylim())) < 1.2 else NullFormatter())
-    axes.set_xlabel("SNR [dB]")
+        axes.yaxis.set_minor_formatter("{x:g}" if np.ptp(np.log10(axes.get_ylim())) < 0.7 else _two_or_five)
+    if over == "snr_db":
+        axes.set_xlabel("SNR [dB]")
     plain(axes)
+
+
+def _two_or_five(value: float, _: int) -> str:
+    """Labels of a decade's ticks between its ends: others would touch one another."""
+    return f"{value:g}" if round(value / 10.0 ** np.floor(np.log10(value))) in (2, 5) else ""
 
 
 def plain(axes: Axes) -> None:
