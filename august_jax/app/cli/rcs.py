@@ -53,7 +53,8 @@ def steps(within: Bounds) -> Callable[[str], tuple[float, float, float]]:
     def read(text: str) -> tuple[float, float, float]:
         parts = text.split(":")
         if len(parts) == 1:
-            return (*inside(text), *inside(text), 1.0)
+            (alone,) = inside(text)
+            return alone, alone, 1.0
         if len(parts) != 3:
             raise argparse.ArgumentTypeError(f"{text!r} is neither A:B:STEP nor a number, e.g. -180:180:5")
         low, high = (inside(part)[0] for part in parts[:2])
@@ -133,7 +134,7 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
         "conductivity_s_m": conductivity,
         "half_wheelbase_m": airframe.half_wheelbase_m,
     } | ({} if args.transmit is None else {"transmit_deg": np.asarray(args.transmit)})
-    summary = [
+    summary: list[dict[str, Any]] = [
         {"frequency_hz": each, "polarisation": name, **_summary(entries[name][..., row], elevation)}
         for row, each in enumerate(hertz)
         for name in _CHANNELS
