@@ -143,7 +143,7 @@ def draw(numbers: Numbers):
         for axes in (above, height, share):
             plain(axes)
     handles, names = grid[0][0].get_legend_handles_labels()
-    drawn.legend(handles, names, loc="outside lower center", ncols=3, frameon=False, fontsize=6.5)
+    drawn.legend(handles, names, loc="outside lower center", ncols=4, frameon=False, fontsize=6.5)
     return drawn
 
 
