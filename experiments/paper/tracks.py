@@ -138,6 +138,7 @@ def draw(numbers: Numbers):
         closer = means["predicted"] / means["estimated"]
         share.set(xlabel="error from slot 4 on [m]", ylabel="share of slots below", xscale="log", ylim=(0.0, 1.0))
         share.xaxis.set_major_formatter("{x:g}")
+        share.xaxis.set_minor_formatter("")
         share.set_title(f"estimates {closer:.1f} x closer than predictions")
         share.legend(fontsize=5.5, frameon=False, loc="upper center", bbox_to_anchor=(0.45, -0.22))
         for axes in (above, height, share):
