@@ -62,7 +62,8 @@ _QUICK = _Plan(
         _Stage(128, 6, 60.0),
     ),
 )
-# Of one slot in forty the first steps, too long ones, are all refused, and the truth is left behind.
+# Of one slot in forty the first steps, too long ones, are all refused, and the truth is left behind. In a few the
+# pattern is so sharp that no attitude of the lattice leads to the truth: others are looked at.
 _PATIENT = _Plan(
     32_000,
     (
@@ -117,8 +118,9 @@ def find_craft(
     exact = _beyond_the_table(library, statistics)
     met: list[Candidates] = []
     modes: Candidates | None = None
-    for plan in (_WEAK if snr_db < _WEAK_SNR_DB else _QUICK, _PATIENT):
-        found = _looked(library, statistics, prior, snr_db, plan, met, clock)
+    first = _WEAK if snr_db < _WEAK_SNR_DB else _QUICK
+    for plan, attitudes in ((first, library.attitudes), (_PATIENT, library.others)):
+        found = _looked(library, statistics, prior, snr_db, plan, attitudes, met, clock)
         met.append(_shaken(library, statistics, prior, found, snr_db))
         clock("refine")
         modes = _modes(library, statistics, prior, met[-1] if modes is None else _joined([met[-1], modes]), exact)
@@ -126,18 +128,18 @@ def find_craft(
         if chance(_least(modes, statistics, prior), degrees_left(statistics)) > _DOUBTED:
             break
     assert modes is not None
-    first, corrections = _first(library, statistics, prior, modes, _joined(met), exact)
-    poses, log_weight = populate(key, table, subspace, statistics, prior, first, corrections)
+    begun, corrections = _first(library, statistics, prior, modes, _joined(met), exact)
+    poses, log_weight = populate(key, table, subspace, statistics, prior, begun, corrections)
     clock("sample")
     return _posterior(library, statistics, prior, modes, poses, log_weight, level, seconds)
 
 
-def _looked(library, statistics, prior, snr_db, plan: _Plan, met: list, clock) -> Candidates:
-    """What is left of a first look at everything; ``met`` gets candidates of its stages."""
+def _looked(library, statistics, prior, snr_db, plan: _Plan, attitudes, met: list, clock) -> Candidates:
+    """What is left of a first look at attitudes of all craft; ``met`` gets candidates of its stages."""
     table, subspace = library.table, library.subspace
     place = bearing(statistics, subspace, library.config.region.scale_m)
     reach_m = float(np.sqrt(3.0) * prior.half_m)  # of the prediction's range, which bearings leave alone
-    seen = screen(library.survey, subspace, statistics, place, library.attitudes, plan.looked, reach_m)
+    seen = screen(library.survey, subspace, statistics, place, attitudes, plan.looked, reach_m)
     low, high = np.asarray(prior.permittivity)
     permittivity = np.clip(1.0 + library.survey_contrast * np.abs(seen.gain), low, high)
     loss = np.full(len(permittivity), float(prior.middle()[1]), np.float32)

@@ -20,6 +20,8 @@ from august_jax.signal.roi import Subspace
 SPACING_DEG = 3.2
 """Of the attitudes that are looked at first [deg]."""
 _BEYOND_DEG = 1.0
+_OTHERS = 1.1
+"""Times as far apart as the first: another lattice, no point of which is where one of the first was in vain."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +36,7 @@ class Library:
         survey_contrast: that of the survey, its real part.
         subspace: of the station.
         attitudes: that a search looks at first (n, 3, 3) float32.
+        others: that it looks at where these led to no explanation (m, 3, 3).
     """
 
     config: Config
@@ -43,6 +46,7 @@ class Library:
     survey_contrast: float
     subspace: Subspace
     attitudes: Float[np.ndarray, "n 3 3"]
+    others: Float[np.ndarray, "m 3 3"]
 
     @property
     def airframes(self) -> tuple[Airframe, ...]:
@@ -116,5 +120,8 @@ def known_craft(
         survey_table(stacked, middle),
         float(np.real(middle[0])),
         Subspace.from_config(config.array),
-        attitude_lattice(config.flight.tilt_deg + _BEYOND_DEG, spacing_deg),
+        *(
+            attitude_lattice(config.flight.tilt_deg + _BEYOND_DEG, each)
+            for each in (spacing_deg, _OTHERS * spacing_deg)
+        ),
     )
