@@ -19,7 +19,7 @@ from torch import nn
 from august_jax.config import Config
 from august_jax.data.fields import Batch
 from august_jax.models import August
-from august_jax.models.diffusion import draw_steps
+from august_jax.models.diffusion import Schedule, draw_steps
 
 _LOG_VARIANCE_LIMIT, _LOG_VARIANCE_START, _LOG_SCALE_LIMIT = 12.0, -4.0, 2.0
 
@@ -50,9 +50,8 @@ def heard(batch: Batch) -> Heard:
 def drawn_alike(config: Config, key: jax.Array, points: tuple[int, int, int]) -> Draws:
     """What :meth:`August.loss` draws of a key for clouds of this shape, all of whose points are used."""
     step_key, noise_key, latent_key, _, _ = jax.random.split(key, 5)
-    schedule = August(config, nnx.Rngs(0)).schedule
     parts = (
-        draw_steps(step_key, points[0], schedule),
+        draw_steps(step_key, points[0], Schedule(config.model.steps, config.model.beta)),
         jax.random.normal(noise_key, points),
         jax.random.normal(latent_key, (points[0], config.model.latent)),
     )

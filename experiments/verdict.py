@@ -155,7 +155,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--write", action="store_true", help="write the table into experiments/README.md")
     args = parser.parse_args(argv)
-    sys.path.insert(0, str(HERE / "paper"))
     from reproduce import PAPER
 
     found, results = claims(), HERE / "results"

@@ -92,9 +92,7 @@ def evaluate(
     progress(f"simulating {count} samples")
     samples = fresh_samples(config, np.arange(count), targets, seed=seed, domain="evaluate")
     airframes = [target.airframe for target in targets]
-    resampled = _resampled(streams.key(seed, "evaluate.resampling"), samples, airframes, config.target.points)
-    clouds = samples.points + samples.position[:, None]
-    truth = Truth(samples.position, samples.rotation[:, :, 2], clouds, resampled, samples.airframe)
+    truth = truth_of(streams.key(seed, "evaluate.resampling"), samples, airframes)._replace(craft=samples.airframe)
     library = _library(config, targets, progress) if any(SCHEMES[name].slow for name in chosen) else None
     lines = _lines(chosen, several, airframes, streams.key(seed, "evaluate.answer"), library)
     hearing = {line.config.model.encoder: line.config for line in lines} | {config.model.encoder: config}
@@ -242,15 +240,18 @@ def _library(config: Config, targets: Sequence[Target], progress: Progress) -> L
         raise ValueError(f"{error}; evaluate.searched=0 leaves the search out") from None
 
 
-def _resampled(key: jax.Array, samples: Sample, airframes: Sequence[Airframe], count: int) -> jax.Array:
-    """The true clouds in the world (B, count, 3) [m], drawn a second time."""
+def truth_of(key: jax.Array, samples: Sample, airframes: Sequence[Airframe]) -> Truth:
+    """What was true of samples in which these craft fly, in the world, its surface drawn a second time from ``key``;
+    without what craft they are, which need not be known."""
     bodies = jnp.stack(
         [
-            airframe.sample_surface(jax.random.fold_in(key, row), count)
+            airframe.sample_surface(jax.random.fold_in(key, row), samples.points.shape[1])
             for row, airframe in enumerate(airframes[index] for index in samples.airframe)
         ]
     )
-    return jnp.asarray(transform(bodies, samples.rotation, samples.position))
+    resampled = jnp.asarray(transform(bodies, samples.rotation, samples.position))
+    clouds = samples.points + samples.position[:, None]
+    return Truth(samples.position, samples.rotation[:, :, 2], clouds, resampled)
 
 
 def validator(

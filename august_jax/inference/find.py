@@ -118,8 +118,8 @@ def find_craft(
     exact = _beyond_the_table(library, statistics)
     met: list[Candidates] = []
     modes: Candidates | None = None
-    first = _WEAK if snr_db < _WEAK_SNR_DB else _QUICK
-    for plan, attitudes in ((first, library.attitudes), (_PATIENT, library.others)):
+    for plan in (_WEAK if snr_db < _WEAK_SNR_DB else _QUICK, _PATIENT):
+        attitudes = library.others if plan is _PATIENT else library.attitudes
         found = _looked(library, statistics, prior, snr_db, plan, attitudes, met, clock)
         met.append(_shaken(library, statistics, prior, found, snr_db))
         clock("refine")
@@ -128,8 +128,8 @@ def find_craft(
         if chance(_least(modes, statistics, prior), degrees_left(statistics)) > _DOUBTED:
             break
     assert modes is not None
-    begun, corrections = _first(library, statistics, prior, modes, _joined(met), exact)
-    poses, log_weight = populate(key, table, subspace, statistics, prior, begun, corrections)
+    first, corrections = _first(library, statistics, prior, modes, _joined(met), exact)
+    poses, log_weight = populate(key, table, subspace, statistics, prior, first, corrections)
     clock("sample")
     return _posterior(library, statistics, prior, modes, poses, log_weight, level, seconds)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
@@ -36,7 +37,7 @@ class Library:
         survey_contrast: that of the survey, its real part.
         subspace: of the station.
         attitudes: that a search looks at first (n, 3, 3) float32.
-        others: that it looks at where these led to no explanation (m, 3, 3).
+        spacing_deg: of these [deg].
     """
 
     config: Config
@@ -46,7 +47,12 @@ class Library:
     survey_contrast: float
     subspace: Subspace
     attitudes: Float[np.ndarray, "n 3 3"]
-    others: Float[np.ndarray, "m 3 3"]
+    spacing_deg: float
+
+    @cached_property
+    def others(self) -> Float[np.ndarray, "m 3 3"]:
+        """Attitudes that a search looks at where the first led to no explanation (m, 3, 3) float32."""
+        return _attitudes(self.config, _OTHERS * self.spacing_deg)
 
     @property
     def airframes(self) -> tuple[Airframe, ...]:
@@ -120,8 +126,10 @@ def known_craft(
         survey_table(stacked, middle),
         float(np.real(middle[0])),
         Subspace.from_config(config.array),
-        *(
-            attitude_lattice(config.flight.tilt_deg + _BEYOND_DEG, each)
-            for each in (spacing_deg, _OTHERS * spacing_deg)
-        ),
+        _attitudes(config, spacing_deg),
+        spacing_deg,
     )
+
+
+def _attitudes(config: Config, spacing_deg: float) -> Float[np.ndarray, "n 3 3"]:
+    return attitude_lattice(config.flight.tilt_deg + _BEYOND_DEG, spacing_deg)

@@ -98,7 +98,9 @@ def scattering_matrix(
     Warns as :func:`body_channel` does of contrasts that cells or the reduction are not made for.
     """
     receive = _directions("receive", receive)
-    transmit = receive if transmit is None else jnp.broadcast_to(_directions("transmit", transmit), receive.shape)
+    ways = (receive,)  # one where both ends are
+    if transmit is not None:
+        ways += (jnp.broadcast_to(_directions("transmit", transmit), receive.shape),)
     tones = len(craft.frequencies_hz) if isinstance(craft, Body) else 1
     check_contrast(contrast, ((), (tones,)), f"a scalar or ({tones},), one value a tone")
     chi = settled("contrast", contrast)
@@ -109,14 +111,14 @@ def scattering_matrix(
             )
         if is_concrete(contrast):
             judge_contrast(craft, contrast)
-        return _of_body(craft, receive, transmit, chi)
+        return _of_body(craft, ways, chi)
     if frequency_hz is None:
         raise ValueError("frequency_hz: got None; cells need the frequency [Hz] that they are asked at")
     k = wavenumber(check_frequency("frequency_hz", frequency_hz))
     check_cells(craft)
     if is_concrete((craft, contrast)):
         warn_of_coarse_cells(*edges_and_fills(craft), contrast, k)
-    return _of_cells(settled_cells(craft), receive, transmit, chi, k)
+    return _of_cells(settled_cells(craft), ways, chi, k)
 
 
 def dbsm(matrix: Inexact[Array, "*shape"]) -> Float[jax.Array, "*shape"]:
@@ -132,10 +134,9 @@ def seen_from(
     They are those of plane waves only far away, beyond about 2 D^2/wavelength for a craft of the size D. Moments that
     are not across the line of sight count with the part that is.
     """
-    path = jnp.asarray(receive_m) + jnp.asarray(transmit_m)
-    spread = jnp.asarray(receive_m) * jnp.asarray(transmit_m)
-    turns = np.float64(wavenumber(frequency_hz)) * np.asarray(path, np.float64)
-    return np.sqrt(4.0 * np.pi) * 4.0 * np.pi * spread * channel * jnp.asarray(np.exp(-1j * turns), jnp.complex64)
+    there, back = np.asarray(transmit_m, np.float64), np.asarray(receive_m, np.float64)  # a path of many turns
+    factor = (4.0 * np.pi) ** 1.5 * there * back * np.exp(-1j * wavenumber(frequency_hz) * (there + back))
+    return channel * jnp.asarray(factor, jnp.complex64)
 
 
 def _directions(name: str, directions):
@@ -166,7 +167,7 @@ def _blocks(heard, right, looks):
 
 
 @jax.jit
-def _of_body(body, receive, transmit, contrast):
+def _of_body(body, ways, contrast):
     contrasts = jnp.broadcast_to(contrast, (len(body.frequencies_hz),)).astype(jnp.complex64)
     found = []
     for tone, frequency in enumerate(body.frequencies_hz):
@@ -174,38 +175,33 @@ def _of_body(body, receive, transmit, contrast):
         chi = contrasts[tone]
         gain = (k**2 / np.sqrt(4.0 * np.pi)) * chi / (1.0 - chi * body.eigenvalues[tone])
 
-        def looked(pair, tone=tone, k=k, gain=gain):
-            waves = [_plane_waves(body.points[tone], part.astype(jnp.float32), k)[body.rows[tone]] for part in pair]
-            heard, sent = (in_modes(body, tone, each) for each in waves)
-            return _blocks(heard, gain[:, None] * sent, pair[0].shape[0])
+        def looked(ways, tone=tone, k=k, gain=gain):
+            waves = [_plane_waves(body.points[tone], way.astype(jnp.float32), k)[body.rows[tone]] for way in ways]
+            modal = [in_modes(body, tone, each) for each in waves]
+            return _blocks(modal[0], gain[:, None] * modal[-1], ways[0].shape[0])
 
-        found.append(_in_blocks(looked, receive, transmit))
+        found.append(_in_blocks(looked, ways))
     return found[0] if body.single else jnp.stack(found)
 
 
-@partial(jax.jit, static_argnums=4)
-def _of_cells(cells, receive, transmit, contrast, k):
+@partial(jax.jit, static_argnums=3)
+def _of_cells(cells, ways, contrast, k):
     places = jnp.asarray(cells.sites())
     middle = jnp.mean(places, axis=0)
     place = places - middle
     matrix = interaction_matrix(cells, k)
 
-    def waves(directions):
-        # about the middle, whose phases come last: small numbers keep their digits
-        return weighted_fields(cells, _plane_waves(place, directions, k))
-
-    count = receive.shape[0]
-    solution = solve_dense(matrix, contrast, waves(transmit))
-    blocks = _blocks(waves(receive), solution.polarization, count)
-    phase = jnp.exp(-1j * k * ((receive + transmit) @ middle))
+    # about the middle, whose phases come last: small numbers keep their digits
+    waves = [weighted_fields(cells, _plane_waves(place, way, k)) for way in ways]
+    blocks = _blocks(waves[0], solve_dense(matrix, contrast, waves[-1]).polarization, ways[0].shape[0])
+    phase = jnp.exp(-1j * k * ((ways[0] + ways[-1]) @ middle))
     return (k**2 / np.sqrt(4.0 * np.pi) * blocks * phase[:, None, None]).astype(jnp.complex64)
 
 
-def _in_blocks(looked, receive, transmit):
+def _in_blocks(looked, ways):
     """A function of so many looks at once, over all of them."""
-    count = receive.shape[0]
+    count = ways[0].shape[0]
     each = min(_TOGETHER, count)
     groups = -(-count // each)
-    pairs = [jnp.pad(part, ((0, groups * each - count), (0, 0)), mode="edge") for part in (receive, transmit)]
-    pairs = [part.reshape(groups, each, 3) for part in pairs]
-    return jax.lax.map(looked, tuple(pairs)).reshape(groups * each, 2, 2)[:count]
+    ways = [jnp.pad(way, ((0, groups * each - count), (0, 0)), mode="edge").reshape(groups, each, 3) for way in ways]
+    return jax.lax.map(looked, tuple(ways)).reshape(groups * each, 2, 2)[:count]

@@ -6,18 +6,17 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from campaign import SEED, Numbers, Rows
 
 from august_jax import streams
 from august_jax.config import Config
 from august_jax.data import Batch, Sample, Target
+from august_jax.evaluation.evaluate import truth_of as true_of
 from august_jax.evaluation.score import score
 from august_jax.inference import Library
 from august_jax.models import Networks
 from august_jax.progress import Progress, silent
-from august_jax.scene.pose import transform
 from august_jax.schemes import SCHEMES, Answer, Setting, Slots, Truth
 
 EXPECTED = ("expected_mpe_m", "own_bound_m", "expected_mde", "own_bound_mde")
@@ -70,17 +69,9 @@ def row(who: Asked, slots: Slots, size_m: float, progress: Progress = silent) ->
 
 
 def truth_of(samples: Sample, targets: Sequence[Target]) -> Truth:
-    """What was true of slots in which these craft fly, the surface drawn a second time for the floor."""
-    key = streams.key(SEED, "evaluate.resampling")
-    bodies = jnp.stack(
-        [
-            targets[int(kind)].airframe.sample_surface(jax.random.fold_in(key, number), samples.points.shape[1])
-            for number, kind in enumerate(samples.airframe)
-        ]
-    )
-    again = jnp.asarray(transform(bodies, samples.rotation, samples.position))
-    clouds = np.asarray(samples.points) + np.asarray(samples.position)[:, None]
-    return Truth(samples.position, samples.rotation[:, :, 2], clouds, again)
+    """What was true of slots in which these craft fly, as an evaluation has it."""
+    airframes = [target.airframe for target in targets]
+    return true_of(streams.key(SEED, "evaluate.resampling"), samples, airframes)
 
 
 def slots_of(batch: Batch, truth: Truth) -> Slots:

@@ -13,13 +13,11 @@ times as long as there are tones, so that it answers as many times fewer slots.
 
 from __future__ import annotations
 
-from functools import partial
-
 import jax
 import numpy as np
 from answered import table
 from campaign import BAND_HZ, SCALES, SEED, Campaign, Numbers, Run, run_of
-from figure import INK, PAGE_IN, SEARCHED, Figure, legend_below, main, over_snr
+from figure import INK, PAGE_IN, SEARCHED, Figure, legend_below, main, over_snr, prefixed
 
 from august_jax.app.plotting import new_figure
 from august_jax.config import override
@@ -46,15 +44,11 @@ def compute(campaign: Campaign) -> Numbers:
         searched = min(scale.searched, max(scale.searched // tones, FEWEST))
         level = (f"evaluate.snr_db=[{SNR_DB - 10.0 * np.log10(tones):.4f}]", f"evaluate.searched={searched}")
         config = override(campaign.config(run), level)
-        told = partial(_told, campaign, tones)
+        told = prefixed(f"{tones} tone{'s' * (tones > 1)}: ", campaign.progress)
         found = evaluate(campaign.networks(run), config, seed=SEED, schemes=ASKED, progress=told)
         rows += [{"line": each["scheme"], "tones": tones, **each} for each in found]
         jax.clear_caches()
     return table(rows)
-
-
-def _told(campaign: Campaign, tones: int, line: str) -> None:
-    campaign.progress(f"{tones} tone{'s' * (tones > 1)}: {line}")
 
 
 def draw(numbers: Numbers):

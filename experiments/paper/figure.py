@@ -17,6 +17,7 @@ import numpy as np
 from campaign import RESULTS, SCALES, Campaign, Numbers, OtherConfiguration, Rows, Run, digest_of
 
 from august_jax.files import replacing
+from august_jax.progress import Progress
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -255,6 +256,11 @@ def legend_below(drawn: Picture, columns: int) -> None:
     """One legend of all axes, below them, each label once."""
     named = {label: line for axes in drawn.axes for line, label in zip(*axes.get_legend_handles_labels())}
     drawn.legend(named.values(), named.keys(), loc="outside lower center", ncols=columns, frameon=False, fontsize=6.5)
+
+
+def prefixed(words: str, progress: Progress) -> Progress:
+    """Progress whose lines begin with these words."""
+    return lambda line: progress(words + line)
 
 
 class Clock:

@@ -12,14 +12,13 @@ Real craft by hand: `august evaluate august_runs/reproduce/PRESET/RUN 'target.ai
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 from typing import NamedTuple
 
 import jax
 import numpy as np
 from answered import Asked, row, slots_of, table, truth_of
 from campaign import SEED, Campaign, Numbers, Run, run_of
-from figure import INK, PAGE_IN, SEARCHED, Clock, Figure, legend_below, main, over_snr, plain
+from figure import INK, PAGE_IN, SEARCHED, Clock, Figure, legend_below, main, over_snr, plain, prefixed
 
 from august_jax import streams
 from august_jax.app.plotting import new_figure
@@ -29,6 +28,7 @@ from august_jax.evaluation import calibration
 from august_jax.evaluation.bound import Bound
 from august_jax.inference import known_craft
 from august_jax.progress import Progress
+from august_jax.schemes import Truth
 
 FAMILY = "hexa"
 SEARCHED_DB = (10.0, 20.0, 30.0)
@@ -57,13 +57,14 @@ class World(NamedTuple):
     Attributes:
         name: "left out" or "known".
         config: of the slots.
-        targets, samples: the craft and the slots.
+        targets, samples, truth: the craft, the slots, and what was true of them.
     """
 
     name: str
     config: Config
     targets: Sequence[Target]
     samples: Sample
+    truth: Truth
 
 
 def compute(campaign: Campaign) -> Numbers:
@@ -84,7 +85,7 @@ def compute(campaign: Campaign) -> Numbers:
     for name, own, targets in (("left out", left, prepare_targets(left, progress)), ("known", config, known)):
         count = max(scale.count // 2, 2)
         samples = fresh_samples(own, np.arange(count), targets, seed=SEED, domain="evaluate")
-        world = World(name, own, targets, samples)
+        world = World(name, own, targets, samples, truth_of(samples, targets))
         bound = None
         for snr_db in scale.snr_db:
             found, bound = _at(world, snr_db, asked, search if snr_db in SEARCHED_DB and library else None,
@@ -101,19 +102,15 @@ def _at(world: World, snr_db: float, asked: Sequence[Asked], search: Asked | Non
     """Rows at one SNR, and the bound for the next one."""
     key = streams.key(SEED, "evaluate.observation")
     batch = observed_anew(key, world.samples, world.config, snr_db, statistics=True)
-    slots = slots_of(batch, truth_of(world.samples, world.targets))
+    slots = slots_of(batch, world.truth)
     bound = bound or Bound(world.samples, np.asarray(batch.predicted), world.targets, world.config)
     about = {"world": world.name, "snr_db": snr_db, **bound.at(snr_db)}
-    size_m, told = world.config.target.half_wheelbase_m, partial(_told, progress, world.name, snr_db)
+    size_m, told = world.config.target.half_wheelbase_m, prefixed(f"{world.name}, {snr_db:g} dB, ", progress)
     rows = [about | row(who, slots, size_m) for who in asked]
     if search is not None:
         # the bound is that of all slots: one line
         rows.append(about | row(search, slots.at(slice(0, searched)), size_m, told) | dict.fromkeys(bound.at(snr_db)))
     return rows, bound
-
-
-def _told(progress: Progress, world: str, snr_db: float, line: str) -> None:
-    progress(f"{world}, {snr_db:g} dB, {line}")
 
 
 def draw(numbers: Numbers):

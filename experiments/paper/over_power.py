@@ -12,19 +12,17 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
+from answered import Asked, row, slots_of, truth_of
 from campaign import SEED, Campaign, Numbers, Run
 from figure import INK, MARKS, PAGE_IN, Clock, legend_below, plain
-from looked import fresh
 
 from august_jax import streams
 from august_jax.app.plotting import new_figure
 from august_jax.config import Config, override
-from august_jax.data import Sample, observed_anew
-from august_jax.evaluation import metrics
-from august_jax.models import Networks
-from august_jax.schemes import SCHEMES, Setting, Slots
+from august_jax.data import Sample, fresh_samples, observed_anew, prepare_targets
 
-_TOGETHER = 50
+SCORED = ("wd_db", "wd_se_db", "mcd_db", "mpe_m", "mpe_se_m")
+"""Of :func:`august_jax.evaluation.score`."""
 
 
 class Case(NamedTuple):
@@ -50,24 +48,30 @@ def over_power(campaign: Campaign, cases: Sequence[Case], count: int) -> Numbers
         of the true surface drawn anew.
     """
     powers = np.zeros(0)
-    found: list[list[tuple[float, ...]]] = []
+    found: list[list[list[float]]] = []
     deaf: list[tuple[float, float]] = []
     clock = Clock(len(cases))
     for case in cases:
         networks = campaign.networks(case.run)
         config = override(campaign.config(case.run), case.flown)
-        samples = fresh(config, np.arange(count))
+        targets = prepare_targets(config)
+        samples = fresh_samples(config, np.arange(count), targets, seed=SEED, domain="evaluate")
         if not len(powers):
             unit = float(np.median(_echoes(samples, config, 0.0).snr_db))
             powers = np.asarray(campaign.scale.snr_db) - unit
         found.append([])
+        truth, size_m = truth_of(samples, targets), config.target.half_wheelbase_m
+        asked = Asked(case.label, "august", config, networks)
         for power in powers:
             batch = _echoes(samples, config, float(power))
-            found[-1].append(_errors(networks, config, samples, batch))
-        deaf.append((float(metrics.mpe_m(batch.predicted, samples.position)), _anew(samples)))
+            slots = slots_of(batch, truth)
+            scored = row(asked, slots, size_m)
+            found[-1].append([float(np.median(batch.snr_db)), *(scored[name] or 0.0 for name in SCORED)])
+        prediction, floor = (row(Asked(name, name, config), slots, size_m) for name in ("prediction", "resampling"))
+        deaf.append((prediction["mpe_m"], floor["wd_db"]))
         campaign.progress(f"{case.label}: {count} slots at {len(powers)} powers  {clock.left()}")
         jax.clear_caches()
-    names = ("snr_db", "wd_db", "wd_se_db", "mcd_db", "mpe_m", "mpe_se_m")
+    names = ("snr_db", *SCORED)
     values = np.array(found)
     return {
         "label": np.array([case.label for case in cases]),
@@ -85,42 +89,16 @@ def _echoes(samples: Sample, config: Config, power_dbm: float):
     return observed_anew(streams.key(SEED, "evaluate.observation"), samples, replace(config, signal=signal))
 
 
-def _errors(networks: Networks, config: Config, samples: Sample, batch) -> tuple[float, ...]:
-    key = streams.key(SEED, "evaluate.answer")
-    ask = SCHEMES["august"].prepare(Setting(config, networks, None, key))
-    assert ask is not None  # it needs networks alone
-    apart, off = [], []
-    for start in range(0, samples.rows, _TOGETHER):
-        rows = slice(start, start + _TOGETHER)
-        slots = Slots(batch.predicted, batch.snr_db, batch.heard, None).at(rows)
-        answer = ask(jax.random.fold_in(key, start), slots)
-        assert answer.cloud is not None and answer.position is not None
-        apart.append(np.asarray(metrics.shape_distances(answer.cloud.points, samples.points[rows])))
-        off.append(np.linalg.norm(np.asarray(answer.position) - samples.position[rows], axis=-1))
-    shapes, errors = np.concatenate(apart), np.concatenate(off)
-    (wd_db, wd_se_db), (mcd_db, _) = metrics.decibels(shapes + errors**2), metrics.decibels(shapes)
-    spread = errors.std(ddof=1) / np.sqrt(len(errors))
-    return float(np.median(batch.snr_db)), wd_db, wd_se_db or 0.0, mcd_db, errors.mean(), spread
-
-
-def _anew(samples: Sample) -> float:
-    """WD [dB] of the true surfaces, half of their points against the other half's place and shape."""
-    points = np.asarray(samples.points)
-    first, second = points[:, ::2], points[:, 1::2]
-    off = np.linalg.norm(first.mean(axis=1) - second.mean(axis=1), axis=-1)
-    return metrics.decibels(np.asarray(metrics.shape_distances(first, second)) + off**2)[0]
-
-
 def drawn_over_power(numbers: Numbers):
     """The weighted distance and the position error, a line a case."""
     drawn = new_figure(PAGE_IN, 3.1)
     first, second = drawn.subplots(1, 2)
     power = numbers["power_dbm"]
-    for row, label in enumerate(numbers["label"]):
-        style = {"color": INK[row % len(INK)], "marker": MARKS[row % len(MARKS)], "ms": 3, "lw": 1.1, "capsize": 1.5}
-        first.errorbar(power, numbers["wd_db"][row], numbers["wd_se_db"][row], label=str(label), **style)
-        second.errorbar(power, numbers["mpe_m"][row], numbers["mpe_se_m"][row], **style)
-        first.axhline(numbers["floor_db"][row], color=style["color"], ls=":", lw=0.8)
+    for at, label in enumerate(numbers["label"]):
+        style = {"color": INK[at % len(INK)], "marker": MARKS[at % len(MARKS)], "ms": 3, "lw": 1.1, "capsize": 1.5}
+        first.errorbar(power, numbers["wd_db"][at], numbers["wd_se_db"][at], label=str(label), **style)
+        second.errorbar(power, numbers["mpe_m"][at], numbers["mpe_se_m"][at], **style)
+        first.axhline(numbers["floor_db"][at], color=style["color"], ls=":", lw=0.8)
     second.axhline(numbers["prediction_m"][0], color="#555555", ls="--", lw=1.0, label="answering the prediction")
     first.set_ylabel("weighted distance [dB]; dotted: floor of the cloud's points")
     second.set(ylabel="mean position error [m]", ylim=(0.0, None))

@@ -22,7 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 from answered import EXPECTED, Asked, row, slots_of, table, truth_of
 from campaign import SEED, Campaign, Numbers, Run, run_of
-from figure import INK, PAGE_IN, SEARCHED, Clock, Figure, legend_below, main, over_snr
+from figure import INK, PAGE_IN, SEARCHED, Clock, Figure, legend_below, main, over_snr, prefixed
 from matplotlib.ticker import NullLocator
 
 from august_jax import streams
@@ -96,13 +96,9 @@ def _at(depth, config: Config, samples: Sample, targets: Sequence[Target], asked
     for who in asked:
         mine = slots.at(slice(0, searched)) if who.scheme == "matched_field" else slots
         own = {f"own_bound_{name}": float(np.mean(values[: mine.slots])) for name, values in bounds.items()}
-        told = partial(_told, progress, depth)
+        told = prefixed(f"depth {depth:.1f} m, ", progress)
         rows.append({**about, **every, **own, **row(who, mine, config.target.half_wheelbase_m, told)})
     return rows
-
-
-def _told(progress, depth: float, line: str) -> None:
-    progress(f"depth {depth:.1f} m, {line}")
 
 
 def _channels(config: Config, targets: Sequence[Target], samples: Sample) -> np.ndarray:

@@ -14,6 +14,7 @@ from august_jax.config import Config, ConfigError
 
 if TYPE_CHECKING:
     from august_jax.pipeline import Networks
+    from august_jax.scene import Airframe
 
 _MARKS = {
     "manifest.json": "august simulate",
@@ -66,6 +67,25 @@ def mesh_arguments(parser: argparse.ArgumentParser, *, required: bool) -> None:
     )
     parser.add_argument(
         "--half-wheelbase", type=number("target.half_wheelbase_m"), metavar="M", help="scale to this half-wheelbase [m]"
+    )
+
+
+def mesh_airframe(args: argparse.Namespace) -> Airframe:
+    """The craft of the file that :func:`mesh_arguments` name."""
+    from august_jax.scene import load_airframe
+
+    return load_airframe(
+        args.mesh, unit=args.unit, up=args.up, forward=args.forward, half_wheelbase_m=args.half_wheelbase
+    )
+
+
+def material_arguments(parser: argparse.ArgumentParser) -> None:
+    """``--permittivity`` and ``--conductivity`` of the craft."""
+    parser.add_argument(
+        "--permittivity", type=number("target.permittivity"), metavar="EPS", help="relative (default: mid-range)"
+    )
+    parser.add_argument(
+        "--conductivity", type=number("target.conductivity_s_m"), metavar="S", help="[S/m] (default: mid-range)"
     )
 
 

@@ -8,9 +8,9 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from august_jax.app.cli.common import chosen_config, folder, mesh_arguments
+from august_jax.app.cli.common import chosen_config, folder, material_arguments, mesh_airframe, mesh_arguments
 from august_jax.app.cli.messages import UsageError, command_line, note, options, say, table
-from august_jax.app.cli.parser import Command, number, numbers
+from august_jax.app.cli.parser import Command, numbers
 from august_jax.config import Bounds, ConfigError
 
 _AZIMUTH, _ELEVATION = Bounds(-360.0, 360.0, "degrees"), Bounds(-90.0, 90.0, "degrees")
@@ -38,12 +38,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
         "--transmit", type=numbers(2, _AZIMUTH), metavar="AZ,EL",
         help="where the transmitter is, seen from the craft [deg] (default: where the receiver is)",
     )  # fmt: skip
-    parser.add_argument(
-        "--permittivity", type=number("target.permittivity"), metavar="EPS", help="relative (default: mid-range)"
-    )
-    parser.add_argument(
-        "--conductivity", type=number("target.conductivity_s_m"), metavar="S", help="[S/m] (default: mid-range)"
-    )
+    material_arguments(parser)
 
 
 def steps(within: Bounds) -> Callable[[str], tuple[float, float, float]]:
@@ -82,7 +77,7 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
     from august_jax.data.simulator import lattice_of
     from august_jax.files import replacing
     from august_jax.physics import contrast, dbsm, factor_body, looking, scattering_matrix
-    from august_jax.scene import load_airframe, resolve_airframe
+    from august_jax.scene import resolve_airframe
     from august_jax.scene.airframes import AIRFRAMES
 
     started = time.monotonic()
@@ -95,9 +90,7 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
     config = chosen_config(args)
     target = config.target
     if args.mesh is not None:
-        airframe = load_airframe(
-            args.mesh, unit=args.unit, up=args.up, forward=args.forward, half_wheelbase_m=args.half_wheelbase
-        )
+        airframe = mesh_airframe(args)
     else:
         airframe = resolve_airframe(args.rest[0], args.half_wheelbase or target.half_wheelbase_m)
     azimuth, elevation = (_places(each) for each in (args.azimuth, args.elevation))

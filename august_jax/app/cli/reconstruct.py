@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from august_jax.app.cli.common import chosen_weights, mesh_arguments, sha256_of
+from august_jax.app.cli.common import chosen_weights, material_arguments, mesh_airframe, mesh_arguments, sha256_of
 from august_jax.app.cli.messages import command_line, note, options
 from august_jax.app.cli.parser import ANGLE, Command, number, numbers, seed_and_snr
 from august_jax.app.cli.sensing import search_arguments, sensed
@@ -20,12 +20,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
     )
     for angle in ("yaw", "pitch", "roll"):
         parser.add_argument(f"--{angle}", type=number(ANGLE), default=0.0, metavar="DEG", help="[deg] (default 0)")
-    parser.add_argument(
-        "--permittivity", type=number("target.permittivity"), metavar="EPS", help="relative (default: mid-range)"
-    )
-    parser.add_argument(
-        "--conductivity", type=number("target.conductivity_s_m"), metavar="S", help="[S/m] (default: mid-range)"
-    )
+    material_arguments(parser)
     seed_and_snr(parser, "prediction and noise")
     parser.add_argument("--run", metavar="RUN", help="weights of your own training run (default: the shipped ones)")
     search_arguments(parser, search=0, known=None)
@@ -33,12 +28,9 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 
 def _run(args: argparse.Namespace) -> dict[str, Any]:
     from august_jax import pipeline
-    from august_jax.scene import load_airframe
 
     started = time.monotonic()
-    airframe = load_airframe(
-        args.mesh, unit=args.unit, up=args.up, forward=args.forward, half_wheelbase_m=args.half_wheelbase
-    )
+    airframe = mesh_airframe(args)
     networks, config = chosen_weights(args, args.run)
     shot = pipeline.pose_scenario(
         networks.config,
