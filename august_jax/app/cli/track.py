@@ -17,7 +17,7 @@ from august_jax.app.cli.results import array_told, leave
 from august_jax.config import Config, Style, bounds
 
 if TYPE_CHECKING:
-    from august_jax.pipeline import Networks, Scenario
+    from august_jax.pipeline import Networks, Scenario, Track
 
 SEARCHED = "matched_field"
 """The scheme that carries hypotheses among known drones; all others answer slot by slot, in a predictor's loop."""
@@ -94,20 +94,6 @@ def _flying(args: argparse.Namespace, config: Config) -> tuple[Config, Scenario]
     return config, shot
 
 
-def _setup(args: argparse.Namespace, config: Config, shot: Scenario, seconds: float) -> list[tuple[str, str]]:
-    """What both ways of following tell in the report."""
-    return [
-        ("array", array_told(config)),
-        ("flight", f"{config.flight.style}, {args.slots} slots of {config.flight.slot_s:g} s"),
-        ("material", f"permittivity {shot.permittivity:.2f}, conductivity {1e3 * shot.conductivity:.2f} mS/m"),
-        ("detections", f"uniform within {config.region.threshold_m:g} m along each axis: the first three slots, and "
-                       "after a loss"),
-        ("seed", str(args.seed)),
-        ("command", command_line(*args.words)),
-        ("computed in", f"{seconds:.0f} s"),
-    ]  # fmt: skip
-
-
 def _following(args: argparse.Namespace, out: Path) -> list[tuple[str, str]]:
     again = options(args, "scheme", "predictor", "style", "airframe")
     again += [word for run in args.run or () for word in ("--run", run)]
@@ -119,10 +105,56 @@ def _following(args: argparse.Namespace, out: Path) -> list[tuple[str, str]]:
     ]
 
 
+def _left(
+    args: argparse.Namespace,
+    out: Path,
+    config: Config,
+    shot: Scenario,
+    track: Track,
+    scores: dict[str, Any],
+    started: float,
+    *,
+    made: dict[str, Any],
+    setup: list[tuple[str, str]],
+    threshold_m: float | None = None,
+    **told: Any,
+) -> dict[str, Any]:
+    """What both ways of following leave: beside what each has of its own, the flight, its picture and the next
+    commands."""
+    from august_jax.app import plotting
+
+    seconds = time.monotonic() - started
+    title = f"{shot.airframe.name} at {args.snr:g} dB, followed by {config.array.count} antennas"
+    setup = [
+        *setup,
+        ("array", array_told(config)),
+        ("flight", f"{config.flight.style}, {args.slots} slots of {config.flight.slot_s:g} s"),
+        ("material", f"permittivity {shot.permittivity:.2f}, conductivity {1e3 * shot.conductivity:.2f} mS/m"),
+        ("detections", f"uniform within {config.region.threshold_m:g} m along each axis: the first three slots, and "
+                       "after a loss"),
+        ("seed", str(args.seed)),
+        ("command", command_line(*args.words)),
+        ("computed in", f"{seconds:.0f} s"),
+    ]  # fmt: skip
+    return leave(
+        args,
+        out,
+        config,
+        track,
+        scores,
+        made={"scheme": args.scheme, "style": config.flight.style, "airframe": shot.airframe.name, **made},
+        seconds=seconds,
+        title=title,
+        setup=setup,
+        following=_following(args, out),
+        draw=partial(plotting.flight, track, scores["slots"], title=title, threshold_m=threshold_m),
+        **told,
+    )
+
+
 def _looped(args: argparse.Namespace, out: Path, started: float) -> dict[str, Any]:
     """A flight in the closed loop of a predictor and a scheme that answers each slot by itself."""
     from august_jax import evaluation, pipeline
-    from august_jax.app import plotting
     from august_jax.schemes import SCHEMES, title_of
     from august_jax.tracking import predictor_for, settled_threshold, smallest_region
 
@@ -153,47 +185,38 @@ def _looped(args: argparse.Namespace, out: Path, started: float) -> dict[str, An
         networks, config, shot, seed=args.seed, snr_db=args.snr, predictor=predictor, scheme=args.scheme, progress=note
     )
     scores = evaluation.score_followed(track, config, shot.airframe.half_wheelbase_m, scheme=args.scheme)
-    seconds = time.monotonic() - started
     told = title_of(networks) if networks else SCHEMES[args.scheme].label
-    title = f"{shot.airframe.name} at {args.snr:g} dB, followed by {config.array.count} antennas"
-    setup = _setup(args, config, shot, seconds)
-    setup[:0] = [
-        ("scheme", f"{args.scheme}: {told}"),
-        *([("weights", networks.name)] if networks else []),
-        ("predictor", name),
-        ("region", fits + ("" if enough else ": too small")),
-    ]
-    return leave(
+    return _left(
         args,
         out,
         config,
+        shot,
         track,
         scores,
+        started,
         made={
-            "scheme": args.scheme,
             "predictor": name,
             "weights": networks.name if networks else None,
-            "style": config.flight.style,
-            "airframe": shot.airframe.name,
             "region": {"threshold_m": region.threshold_m, "scale_m": region.scale_m, "needed_m": needed,
                        "enough": enough, "compared": len(several)},
         },
-        seconds=seconds,
-        title=title,
         lead=_lead_looped(scores, region.threshold_m),
-        setup=setup,
-        following=_following(args, out),
-        draw=partial(plotting.flight, track, scores["slots"], title=title, threshold_m=region.threshold_m),
+        setup=[
+            ("scheme", f"{args.scheme}: {told}"),
+            *([("weights", networks.name)] if networks else []),
+            ("predictor", name),
+            ("region", fits + ("" if enough else ": too small")),
+        ],
         hypotheses={},
         scheme=(args.scheme, told.partition(",")[0]),
         first=_loop_table(scores["summary"]),
+        threshold_m=region.threshold_m,
     )  # fmt: skip
 
 
 def _searched(args: argparse.Namespace, out: Path, started: float) -> dict[str, Any]:
     """A flight followed by hypotheses among known drones."""
     from august_jax import evaluation
-    from august_jax.app import plotting
     from august_jax.data import channels_along, prepare_targets
     from august_jax.evaluation.followed import FOLLOWED
     from august_jax.inference import known_craft
@@ -211,35 +234,24 @@ def _searched(args: argparse.Namespace, out: Path, started: float) -> dict[str, 
     flown = follow_flight(library, config, shot, channels, seed=args.seed, snr_db=args.snr, progress=note)
     track = flown.track
     scores = evaluation.score_flown(flown, config, shot.airframe.half_wheelbase_m)
-    seconds = time.monotonic() - started
     settled = scores["summary"][-1]
-    title = f"{shot.airframe.name} at {args.snr:g} dB, followed by {config.array.count} antennas"
     unknown = "" if flown.craft is not None else ", which is none of the known ones"
-    setup = _setup(args, config, shot, seconds)
-    setup[:0] = [
-        ("scheme", f"{SEARCHED}: hypotheses carried from slot to slot"),
-        ("known drones", ", ".join(flown.names)),
-        ("drone", f"{shot.airframe.name}{unknown}"),
-        ("a slot takes", f"{settled['seconds']:.2f} s"),
-    ]
-    return leave(
+    return _left(
         args,
         out,
         config,
+        shot,
         track,
         scores,
-        made={
-            "scheme": SEARCHED,
-            "style": config.flight.style,
-            "airframe": shot.airframe.name,
-            "known": list(flown.names),
-        },
-        seconds=seconds,
-        title=title,
+        started,
+        made={"known": list(flown.names)},
         lead=_lead(settled, flown),
-        setup=setup,
-        following=_following(args, out),
-        draw=partial(plotting.flight, track, scores["slots"], title=title),
+        setup=[
+            ("scheme", f"{SEARCHED}: hypotheses carried from slot to slot"),
+            ("known drones", ", ".join(flown.names)),
+            ("drone", f"{shot.airframe.name}{unknown}"),
+            ("a slot takes", f"{settled['seconds']:.2f} s"),
+        ],
         hypotheses=dict(enumerate(flown.clouds)),
         scheme=(FOLLOWED, "followed"),
         first=_summary_table(scores["summary"]),
