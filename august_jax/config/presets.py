@@ -122,7 +122,8 @@ PRESETS: dict[str, Preset] = {
         summary="flights near the base station, where one tone carries enough; two CPU cores",
         build=_laptop,
         command=_command("laptop", "august_runs/laptop --seed 1 evaluate.count=200"),
-        time="on two CPU cores simulate: half an hour (104 samples/s), train: an hour (950 samples/s)",
+        time="on two CPU cores simulate: half an hour (104 samples/s), train: twenty minutes where nothing else runs "
+        "(2700 samples/s, benchmarks/training.py), an hour beside other work (950)",
         expected="at 20 dB MPE 0.12 to 0.14 m where answering the prediction errs by 0.48 m (the shipped weights, "
         "trained in two runs: 0.127 m, MDE 0.031, WD -15.4 dB; five real drones in one run: 0.138 m)",
     ),
