@@ -43,6 +43,7 @@ def test_every_file_holds_the_same_and_what_the_coupled_solve_gives(found):
     np.testing.assert_allclose(table["hh_dbsm"].reshape(3, 5, 2), stored["rcs_hh_dbsm"], atol=1e-4)
     np.testing.assert_allclose(table["azimuth_deg"].reshape(3, 5, 2)[0, :, 0], stored["azimuth_deg"])
     assert_ink(out / "rcs.png")
+    assert "rcs.html" in {path.name for path in out.iterdir()}
     config = preset("smoke")
     airframe = procedural_airframe("quad_x", config.target.half_wheelbase_m)
     from dataclasses import replace

@@ -16,6 +16,7 @@ from august_jax.config import Bounds, ConfigError
 _AZIMUTH, _ELEVATION = Bounds(-360.0, 360.0, "degrees"), Bounds(-90.0, 90.0, "degrees")
 _GHZ = Bounds(0.1, 100.0, "GHz")
 _MOST = 200_000
+_POINTS = 500  # of the craft, in the middle of the lobe
 _CHANNELS = ("hh", "hv", "vh", "vv")
 
 
@@ -74,6 +75,7 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
 
     from august_jax.app import plotting
     from august_jax.app.export import write_record
+    from august_jax.app.lobe import write_lobe
     from august_jax.data.simulator import lattice_of
     from august_jax.files import replacing
     from august_jax.physics import contrast, dbsm, factor_body, looking, scattering_matrix
@@ -147,10 +149,25 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
                    header="elevation_deg,azimuth_deg,frequency_hz,hh_dbsm,hv_dbsm,vh_dbsm,vv_dbsm")  # fmt: skip
     title = f"{airframe.name}, {'monostatic' if transmit is None else 'bistatic'}"
     plotting.cross_sections(azimuth, elevation, hertz, entries, out / "rcs.png", title=title)
+    material = f"permittivity {permittivity:.3g}, conductivity {1e3 * conductivity:.3g} mS/m"
+    sites = np.asarray(cells.sites())
+    write_lobe(
+        out / "rcs.html",
+        azimuth,
+        elevation,
+        hertz,
+        entries,
+        sites[:: max(1, len(sites) // _POINTS)],
+        title=f"{title}: radar cross-section",
+        lead=f"Half-wheelbase {airframe.half_wheelbase_m:.3g} m, {material}. Distance from the middle is the "
+        "cross-section in dB above what the slider leaves out"
+        + ("." if args.transmit is None else ", towards the receiver, while the transmitter stands at azimuth "
+           f"{args.transmit[0]:g} and elevation {args.transmit[1]:g} degrees."),
+    )  # fmt: skip
     say(
         args,
-        f"{title}, half-wheelbase {airframe.half_wheelbase_m:.3g} m, permittivity {permittivity:.3g}, conductivity "
-        f"{1e3 * conductivity:.3g} mS/m; error of the reduced body {body.error_at(chi[0]):.1e}\n"
+        f"{title}, half-wheelbase {airframe.half_wheelbase_m:.3g} m, {material}; error of the reduced body "
+        f"{body.error_at(chi[0]):.1e}\n"
         + table(
             [
                 ["dBsm", "GHz", "mean", "median", "least", "most"],
@@ -169,7 +186,7 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
     craft = [*args.rest, *options(args, "mesh")]
     say(
         args,
-        f"written: {out}/rcs.png, rcs.npz, rcs.mat, rcs.csv in {time.monotonic() - started:.0f} s\n"
+        f"written: {out}/rcs.html, rcs.png, rcs.npz, rcs.mat, rcs.csv in {time.monotonic() - started:.0f} s\n"
         f"next:  {command_line('rcs', *craft, *again, '--transmit', '0,0', '--elevation', '0')}"
         "      seen from all sides while a transmitter stands ahead",
     )
