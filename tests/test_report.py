@@ -13,7 +13,7 @@ from august_jax.scene import WorldCloud
 SCORES = {"slots": [{"slot": 0, "note": "</script><b>"}], "schemes": [{"scheme": "august", "mpe_m": 0.1, "mde": None}]}
 
 
-def write(path, track, scores=SCORES, title="made up", **rest):
+def write(path, track, scores=SCORES, title="made up", repeat=(), configuration="", **rest):
     report.write_report(
         path,
         track,
@@ -23,6 +23,8 @@ def write(path, track, scores=SCORES, title="made up", **rest):
         note="note",
         setup=[("seed", "1")],
         following=[("august demo", "again")],
+        repeat=list(repeat),
+        configuration=configuration,
         permittivity=(1.5, 5.0),
         conductivity=(1e-3, 1e-2),
         **rest,
@@ -70,6 +72,15 @@ def test_text_cannot_break_out_of_the_payload(tmp_path):
     assert payload(page)["title"] == "<img> </script> of my drone"
     assert payload(page)["slots"][0]["note"] == "</script><b>"
     assert page.count("</script>") == 2
+
+
+def test_the_run_can_be_made_again_from_the_page(tmp_path):
+    scores = {"slots": [], "schemes": [], "bound": {"bound_m": 0.05, "bound_mde": None}}
+    again = [("august demo --seed 3", "august_jax 1.2.3")]
+    page = write(tmp_path / "report.html", made_up_track(1), scores, repeat=again, configuration="array:\n  nx: 4\n")
+    told = payload(page)
+    assert (told["repeat"], told["configuration"]) == ([list(again[0])], "array:\n  nx: 4\n")
+    assert told["bound"] == scores["bound"]
 
 
 def test_fifty_slots_of_a_thousand_points_stay_small(tmp_path):

@@ -299,24 +299,27 @@ def evaluation_curves(rows: Sequence[Mapping[str, Any]], png: str | Path, *, tit
     schemes = list(dict.fromkeys(row["scheme"] for row in rows))
     most = max(row["count"] for row in rows)
     labels = {scheme: SCHEMES[scheme].label if scheme in SCHEMES else scheme for scheme in schemes}
+    alone = len({row["snr_db"] for row in rows}) == 1
     labels |= {row["scheme"]: row["label"] for row in rows if "label" in row}
     for row in rows:
         if row["count"] < most:
-            labels[row["scheme"]] = f"{labels[row['scheme']].partition(',')[0]}, {row['count']} samples"
+            labels[row["scheme"]] = (
+                f"{labels[row['scheme']].partition(',')[0]}, {row['count']} sample{'' if row['count'] == 1 else 's'}"
+            )
     for index, (metric, label, logarithmic) in enumerate(panels):
         axes = figure.add_subplot(2, 2, index + 1)
         for scheme in schemes:
             pairs = {row["snr_db"]: row[metric] for row in rows if row["scheme"] == scheme and row[metric] is not None}
+            style = {"lw": 1.6, **STYLES.get(scheme, {"marker": "s", "ms": 4})}
             if pairs:
-                axes.plot(
-                    *np.array(sorted(pairs.items())).T,
-                    label=labels[scheme],
-                    **{"lw": 1.6, **STYLES.get(scheme, {"marker": "s", "ms": 4})},
-                )
+                _over_snr(axes, sorted(pairs.items()), alone, label=labels[scheme], **style)
         column = {"mpe_m": "bound_m", "mde": "bound_mde"}.get(metric)
         bound = sorted({(row["snr_db"], row[column]) for row in rows if row[column] is not None}) if column else []
         if bound:
-            axes.plot(*np.array(bound).T, color="#2b9348", lw=1.6, ls="-.", label="bound")
+            _over_snr(axes, bound, alone, color="#2b9348", lw=1.6, ls="-.", label="bound")
+        if alone:
+            axes.set_xlim(rows[0]["snr_db"] - 1.0, rows[0]["snr_db"] + 1.0)
+            axes.set_xticks([rows[0]["snr_db"]])
         if logarithmic:
             axes.set_yscale("log")
             axes.yaxis.set_major_formatter("{x:g}")
@@ -327,6 +330,15 @@ def evaluation_curves(rows: Sequence[Mapping[str, Any]], png: str | Path, *, tit
     figure.legend(named.values(), named.keys(), loc="outside lower left", ncols=3, frameon=False, fontsize=9)
     figure.suptitle(title, x=0.01, ha="left", fontsize=12, fontweight="bold")
     save(figure, png)
+
+
+def _over_snr(axes: Axes, pairs: Sequence[tuple[float, float]], alone: bool, **style: Any) -> None:
+    """A line over SNR; where there is one SNR ``alone``, through which no line leads, a line across at its height."""
+    if alone:
+        at, value = pairs[-1]
+        axes.plot([at - 1.0, at, at + 1.0], [value] * 3, markevery=[1], **style)
+    else:
+        axes.plot(*np.array(pairs).T, **style)
 
 
 def cross_sections(

@@ -1,8 +1,9 @@
 """The report of a demo, a reconstruction or a track: one HTML file that works offline, with turnable views.
 
-The page is ``viewer.html`` with the numbers put in as JSON. Points go in as 16-bit integers of ``QUANTUM_M`` about the
-true position of their slot, materials as bytes of their range, so that fifty slots of a thousand points stay below
-1.5 MB.
+The page is ``viewer.html`` with the numbers put in as JSON. It needs nothing else, fits a telephone and a wide screen,
+follows the reader's light or dark scheme, and does by key what it does by hand. Points go in as 16-bit integers of
+``QUANTUM_M`` about the true position of their slot, materials as bytes of their range, so that fifty slots of a
+thousand points stay below 1.5 MB.
 """
 
 from __future__ import annotations
@@ -37,6 +38,8 @@ def write_report(
     note: str,
     setup: Sequence[tuple[str, str]],
     following: Sequence[tuple[str, str]],
+    repeat: Sequence[tuple[str, str]],
+    configuration: str,
     permittivity: tuple[float, float],
     conductivity: tuple[float, float],
     scheme: tuple[str, str] = ("august", "AUGUST"),
@@ -47,10 +50,13 @@ def write_report(
     Args:
         path: the HTML file.
         track: what was true and what was reconstructed.
-        scores: ``slots`` and ``schemes`` as :func:`august_jax.evaluation.score_track` gives them.
+        scores: ``slots`` and ``schemes`` as :func:`august_jax.evaluation.score_track` gives them, and ``bound`` where
+            it is known: ``bound_m`` [m] and ``bound_mde``, what noise leaves to one who knows the craft.
         title, lead, note: heading, the sentence below it, and the remark under the table of schemes.
         setup: pairs of name and value that say how the clouds were made.
-        following: pairs of a command and what it does.
+        following: pairs of a command to try next and what it does.
+        repeat: pairs of a command that makes the run again and what it needs.
+        configuration: of the run, as text.
         permittivity, conductivity: ranges of the colour scale, [1] and [S/m].
         scheme: name of the one that made the clouds, and what it is called in charts.
         hypotheses: slot -> surfaces of the hypotheses that its entry of the scores tells of, in their order.
@@ -67,6 +73,9 @@ def write_report(
         "note": note,
         "setup": [list(pair) for pair in setup],
         "next": [list(pair) for pair in following],
+        "repeat": [list(pair) for pair in repeat],
+        "configuration": configuration,
+        "bound": scores.get("bound"),
         "range": ranges,
         "quantum_m": QUANTUM_M,
         "reach_m": reach,

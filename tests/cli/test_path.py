@@ -237,6 +237,7 @@ def test_a_demo_that_searches_tells_what_it_found(capsys, home, tmp_path, monkey
     # known drones are what a demo compares with
     assert between is None and first["craft"] == last["craft"] == "hexa"
     assert set(first["craft_probability"]) == {"quad_x", "hexa"} and rows["matched_field"]["craft_accuracy"] == 1.0
+    assert 0.0 < result["bound"]["bound_m"] < 0.5 and 0.0 < result["bound"]["bound_mde"] < 0.25
     assert "known drones" in (tmp_path / "demo" / "report.html").read_text()
 
 

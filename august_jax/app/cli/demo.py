@@ -6,7 +6,7 @@ import argparse
 import time
 from typing import Any
 
-from august_jax.app.cli.common import chosen_weights
+from august_jax.app.cli.common import chosen_weights, counted
 from august_jax.app.cli.messages import command_line, note, options
 from august_jax.app.cli.parser import Command, seed_and_snr, whole
 from august_jax.app.cli.sensing import search_arguments, sensed
@@ -31,7 +31,7 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
     networks, config = chosen_weights(args, args.run)
     shot = pipeline.draw_scenario(config, args.seed, args.slots, args.airframe)
     note(
-        f"{shot.airframe.name} flies {args.slots} slots, permittivity {shot.permittivity:.2f}, "
+        f"{shot.airframe.name} flies {counted(args.slots, 'slot')}, permittivity {shot.permittivity:.2f}, "
         f"conductivity {1e3 * shot.conductivity:.1f} mS/m"
     )
     again = [*options(args, "airframe", "run"), *args.overrides]

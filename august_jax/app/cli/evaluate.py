@@ -7,7 +7,7 @@ import json
 from typing import Any
 
 from august_jax import config as configuration
-from august_jax.app.cli.common import chosen_weights, folder
+from august_jax.app.cli.common import chosen_weights, counted, folder
 from august_jax.app.cli.messages import UsageError, command_line, expected_table, note, say, scheme_table, search_table
 from august_jax.app.cli.parser import Command, whole
 
@@ -56,7 +56,7 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
         rows,
         out / "evaluation.png",
         title=f"{first.name if len(several) == 1 else f'{len(several)} networks'}, seed {args.seed}, "
-        f"{config.evaluate.count} samples at each SNR",
+        f"{counted(config.evaluate.count, 'sample')} at each SNR",
     )
     say(args, scheme_table(rows, snr=True))
     searched = search_table(rows)

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import argparse
 import json
+import platform
 from collections.abc import Callable, Mapping, Sequence
+from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from august_jax import __version__
 from august_jax import config as configuration
 from august_jax.app.cli.messages import command_line, say, scheme_table
 from august_jax.config import Config
@@ -21,6 +24,13 @@ def array_told(config: Config) -> str:
     """The antennas in words."""
     tones = ", ".join(f"{tone / 1e9:g}" for tone in config.array.frequencies_hz)
     return f"{config.array.nx} x {config.array.nz} at {tones} GHz"
+
+
+def _needed(made: Mapping[str, Any]) -> str:
+    """What makes a command give the same again."""
+    craft = made.get("craft")
+    file = f"; the mesh's SHA-256 begins {craft['mesh_sha256'][:12]}" if craft else ""
+    return f"august_jax {__version__} with jax {version('jax')} on Python {platform.python_version()}{file}"
 
 
 def leave(
@@ -87,6 +97,8 @@ def leave(
         note=evaluation.NOTE,
         setup=setup,
         following=following,
+        repeat=[(command_line(*args.words), _needed(made))],
+        configuration=configuration.to_yaml(config),
         scheme=scheme,
         hypotheses=hypotheses,
         permittivity=config.target.permittivity,

@@ -10,7 +10,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from august_jax import config as configuration
-from august_jax.app.cli.common import folder
+from august_jax.app.cli.common import counted, folder, track_bound
 from august_jax.app.cli.messages import command_line, note
 from august_jax.app.cli.parser import whole
 from august_jax.app.cli.results import array_told, leave
@@ -18,6 +18,7 @@ from august_jax.config import Config
 
 if TYPE_CHECKING:
     from august_jax.app.plotting import Shown
+    from august_jax.data import Target
     from august_jax.inference import Library
     from august_jax.pipeline import Networks, Scenario
     from august_jax.scene.airframes import Airframe
@@ -77,13 +78,24 @@ def sensed(
         (command_line("export", str(out), "--format", "mat"), "the clouds for MATLAB"),
     ]
     track = pipeline.sense(networks, config, shot, seed=args.seed, snr_db=args.snr, progress=note)
-    search = _searched(args, config, shot.airframe, track) if args.search else None
-    scores = evaluation.score_track(track, config, shot.airframe.half_wheelbase_m, search=search)
+    title = f"{shot.airframe.name} at {args.snr:g} dB, seen by {counted(config.array.count, 'antenna')}"
+    draw = partial(plotting.clouds, track, permittivity=config.target.permittivity, title=title)
+    search, bound = None, None
+    if args.search:
+        picture = out / f"{args.command}.png"
+        draw(picture)
+        note(f"a first picture, of the networks: {picture}; a search among known drones follows")
+        search, target = _searched(args, config, shot.airframe, track)
+        note("working out the bound")
+        bound = track_bound(track, target, config, args.snr)
+    scores: dict[str, Any] = evaluation.score_track(track, config, shot.airframe.half_wheelbase_m, search=search)
+    if bound is not None and bound["bound_m"] is not None:
+        scores["bound"] = bound
     seconds = time.monotonic() - started
     mean = {row["scheme"]: row for row in scores["schemes"]}
     slots = track.slots
     lead = (
-        f"{'Over ' + str(slots) + ' slots the' if slots > 1 else 'The'} reconstructed cloud puts the drone "
+        f"{f'Over {slots} slots the' if slots > 1 else 'The'} reconstructed cloud puts the drone "
         f"{100 * mean['august']['mpe_m']:.1f} cm from where it is{' on average' if slots > 1 else ''}; "
         f"the prediction it starts from is {100 * mean['prediction']['mpe_m']:.1f} cm off."
     )
@@ -95,8 +107,7 @@ def sensed(
         lead += (
             f" A search among {len(search.names)} known drones puts it {error:.1f} cm off, and names it in {named} of "
         )
-        lead += f"{len(search.found)} slot{'s' * (len(search.found) > 1)}."
-    title = f"{shot.airframe.name} at {args.snr:g} dB, seen by {config.array.count} antennas"
+        lead += f"{counted(len(search.found), 'slot')}."
     setup = [
         ("weights", networks.name),
         ("array", array_told(config)),
@@ -104,13 +115,14 @@ def sensed(
         *([("mesh", f"{args.mesh}: {shot.airframe.source}")] if shot.airframe.source else []),
         ("material", f"permittivity {track.permittivity:.2f}, conductivity {1e3 * track.conductivity:.2f} mS/m"),
         ("channel", f"full-wave ({config.data.dense_solver}), {config.signal.estimator} estimate"),
-        ("sampler", f"{config.evaluate.sampler}, {_sampler_steps(config)} steps, {config.target.points} points"),
+        ("sampler", f"{config.evaluate.sampler}, {counted(_sampler_steps(config), 'step')}, "
+         f"{counted(config.target.points, 'point')}"),
         ("first predictions", f"uniform within {config.region.threshold_m:g} m along each axis, as of a detection"),
         *([("known drones", ", ".join(search.names))] if search is not None else []),
         ("seed", str(args.seed)),
         ("command", command_line(*args.words)),
         ("computed in", f"{seconds:.0f} s"),
-    ]
+    ]  # fmt: skip
     return leave(
         args,
         out,
@@ -124,11 +136,7 @@ def sensed(
         setup=setup,
         following=following,
         draw=partial(
-            plotting.clouds,
-            track,
-            permittivity=config.target.permittivity,
-            title=title,
-            found={} if search is None else {each.slot: _shown(each, search.names) for each in search.found},
+            draw, found={} if search is None else {each.slot: _shown(each, search.names) for each in search.found}
         ),
         hypotheses={} if search is None else {each.slot: each.clouds for each in search.found},
     )
@@ -150,20 +158,20 @@ def _shown(found: Found, names: Sequence[str]) -> Shown:
     return Shown(label, np.asarray(cloud.points)[0], np.asarray(cloud.permittivity)[0], np.asarray(answer.normal)[0])
 
 
-def _searched(args: argparse.Namespace, config: Config, airframe: Airframe, track: Track) -> Search:
-    """A search of the last slot, and of others spread over the flight, ``--search`` in all."""
+def _searched(args: argparse.Namespace, config: Config, airframe: Airframe, track: Track) -> tuple[Search, Target]:
+    """A search of the last slot, and of others spread over the flight, ``--search`` in all; and what flies."""
     import numpy as np
 
     from august_jax.schemes.matched_field import search_track
 
-    library, craft = _library(config, airframe, args.known)
+    library, craft, target = _library(config, airframe, args.known)
     slots = np.unique(np.linspace(track.slots - 1, 0, min(args.search, track.slots)).round().astype(int)).tolist()
-    return search_track(track, library, config, seed=args.seed, slots=slots, craft=craft, progress=note)
+    return search_track(track, library, config, seed=args.seed, slots=slots, craft=craft, progress=note), target
 
 
-def _library(config: Config, airframe: Airframe, most: int | None) -> tuple[Library, int]:
+def _library(config: Config, airframe: Airframe, most: int | None) -> tuple[Library, int, Target]:
     """The drone that flies and others of the configuration, ``most`` in all or every one, in the configuration's order;
-    and which of them flies."""
+    which of them flies, and that one."""
     from august_jax.data import Target, lattice_of, nearest_distance, prepare_targets
     from august_jax.inference import known_craft
     from august_jax.physics import factor_body
@@ -187,7 +195,8 @@ def _library(config: Config, airframe: Airframe, most: int | None) -> tuple[Libr
             cells, config.array.tones_hz or config.array.frequency_hz, nearest_m=nearest_distance(config)
         )
         targets = [*targets, Target(airframe, cells, cell_m, body, airframe.surface)]
-    return known_craft(config, targets, progress=note), flies[0] if flies else len(targets) - 1
+    own_row = flies[0] if flies else len(targets) - 1
+    return known_craft(config, targets, progress=note), own_row, targets[own_row]
 
 
 def _sampler_steps(config: Config) -> int:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
 from august_jax import config as configuration
-from august_jax.app.cli.common import chosen_config, chosen_weights, folder
+from august_jax.app.cli.common import chosen_config, chosen_weights, counted, folder, track_bound
 from august_jax.app.cli.messages import UsageError, cell, command_line, note, options, table
 from august_jax.app.cli.parser import Command, seed_and_snr, whole
 from august_jax.app.cli.results import array_told, leave
@@ -124,7 +124,7 @@ def _left(
     from august_jax.app import plotting
 
     seconds = time.monotonic() - started
-    title = f"{shot.airframe.name} at {args.snr:g} dB, followed by {config.array.count} antennas"
+    title = f"{shot.airframe.name} at {args.snr:g} dB, followed by {counted(config.array.count, 'antenna')}"
     setup = [
         *setup,
         ("array", array_told(config)),
@@ -227,13 +227,18 @@ def _searched(args: argparse.Namespace, out: Path, started: float) -> dict[str, 
     targets = prepare_targets(config, note)
     library = known_craft(config, targets, progress=note)
     note("computing the full-wave channels")
-    body = next((each.body for each in targets if each.airframe.digest == shot.airframe.digest), None)
+    flying = next((each for each in targets if each.airframe.digest == shot.airframe.digest), None)
+    body = flying.body if flying else None
     material = shot.permittivity, shot.conductivity
     channels = channels_along(config, shot.airframe, shot.rotations, shot.positions, *material, body)
     note("following the flight; what it needs is compiled in the first slots")
     flown = follow_flight(library, config, shot, channels, seed=args.seed, snr_db=args.snr, progress=note)
     track = flown.track
-    scores = evaluation.score_flown(flown, config, shot.airframe.half_wheelbase_m)
+    scores: dict[str, Any] = evaluation.score_flown(flown, config, shot.airframe.half_wheelbase_m)
+    if flying is not None:
+        note("working out the bound")
+        bound = track_bound(track, flying, config, args.snr)
+        scores |= {} if bound["bound_m"] is None else {"bound": bound}
     settled = scores["summary"][-1]
     unknown = "" if flown.craft is not None else ", which is none of the known ones"
     return _left(
@@ -292,7 +297,7 @@ def _lead(settled: dict[str, Any], flown: Any) -> str:
     else:
         lead += f" It is named rightly in {100 * settled['craft_accuracy']:.0f} % of them."
     if settled["lost"]:
-        lead += f" It was lost in {settled['lost']} slot{'s' * (settled['lost'] > 1)}, and searched for again."
+        lead += f" It was lost in {counted(settled['lost'], 'slot')}, and searched for again."
     return lead
 
 

@@ -1,0 +1,229 @@
+"""The report in a browser: on a desk, on a telephone, in the dark, by key and by finger."""
+
+from __future__ import annotations
+
+import os
+
+import numpy as np
+import pytest
+from browser import BROWSER, DARK, found_in, picture
+from made_up_track import made_up_track
+from test_report import write
+
+from august_jax.evaluation import score_track
+from august_jax.scene import WorldCloud
+
+pytestmark = pytest.mark.skipif(BROWSER is None, reason="no browser here")
+
+WIDE, PHONE = {"width": 1280, "height": 900}, {"width": 390, "height": 844}
+HYPOTHESIS = {"craft": "hexa_of_long_name", "probability": 0.9, "position": [4.0, 6.0, 3.0], "normal": [0.0, 0.0, 1.0],
+              "heading_deg": 30.0, "permittivity": 3.0, "conductivity": 4e-3}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory):
+    """A report with all that reports have: several slots, a search of one, a bound, long words."""
+    from august_jax.config import preset
+
+    track = made_up_track(4)
+    scores = score_track(track, preset("smoke"), 0.25)
+    search = {"craft": "hexa", "craft_probability": {"hexa": 1.0}, "explained": True, "probability": 0.4,
+              "position": [4.0, 6.0, 3.0], "normal": [0.0, 0.0, 1.0], "hypotheses": [HYPOTHESIS] * 2}  # fmt: skip
+    scores["slots"] = [slot | {"search": search if slot["slot"] == 3 else None} for slot in scores["slots"]]
+    scores["schemes"] = [{**scores["schemes"][0], "scheme": "matched_field", "count": 1}, *scores["schemes"]]
+    scores["bound"] = {"bound_m": 0.02, "bound_mde": 1e-3}
+    cloud = WorldCloud(track.truth[3], np.ones(400), np.ones(400))
+    path = tmp_path_factory.mktemp("page") / "report.html"
+    command = "august reconstruct --mesh '/a/folder/whose/name/is/longer/than/a/telephone/is/wide/drone.stl' --unit mm"
+    write(path, track, scores, hypotheses={3: [cloud, cloud]}, repeat=[(command, "again")], configuration="a: 1\n" * 9)
+    return path
+
+
+WIDER = """
+document.querySelectorAll("details").forEach((each) => { each.open = true; });
+const wide = document.documentElement.clientWidth, named = (each) => each.outerHTML.slice(0, 90);
+const shown = (but) => [...document.querySelectorAll("main *")].filter((each) =>
+  each.getClientRects().length && !each.closest(but));
+const out = shown("pre, .unseen").filter((each) => each.getBoundingClientRect().right > wide + 0.5).map(named);
+const cut = shown(".unseen, select, button").filter((each) =>
+  each.scrollWidth > each.clientWidth + 1 && getComputedStyle(each).display !== "inline").map(named);
+return { wide, needs: document.documentElement.scrollWidth, out, cut };
+"""
+
+
+@pytest.mark.parametrize("size", [WIDE, PHONE, {"width": 320, "height": 568}], ids=["desk", "telephone", "small"])
+def test_nothing_is_wider_than_the_window(page, size):
+    found = found_in(page, WIDER, **size)
+    assert (found["wide"], found["needs"]) == (size["width"], size["width"])
+    assert found["out"] == [] and found["cut"] == []
+
+
+SEEN = """
+const seen = (id) => {
+  const canvas = document.getElementById(id);
+  const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+  return data.reduce((sum, value, k) => (sum * 31 + value * (k % 7 + 1)) % 4294967291, 7);
+};
+const ids = ["left", "right", "third", "flight"];
+// a canvas that is read is drawn by other means from then on
+for (let k = 0; k < 3; k++) { ids.forEach(seen); refresh(); }
+"""
+
+
+def test_every_view_turns_by_key_and_says_what_it_shows(page):
+    found = found_in(
+        page,
+        SEEN
+        + """
+return ids.map((id) => {
+  const canvas = document.getElementById(id), first = seen(id), after = {};
+  canvas.focus();
+  const focused = document.activeElement === canvas;
+  for (const key of ["ArrowLeft", "ArrowUp", "+"]) {
+    const event = new KeyboardEvent("keydown", { key, bubbles: true, cancelable: true });
+    canvas.dispatchEvent(event);
+    after[key] = [seen(id), event.defaultPrevented];
+  }
+  canvas.dispatchEvent(new KeyboardEvent("keydown", { key: "0", bubbles: true }));
+  const tab = new KeyboardEvent("keydown", { key: "Tab", bubbles: true, cancelable: true });
+  canvas.dispatchEvent(tab);
+  const label = canvas.getAttribute("aria-label");
+  return { focused, first, after, back: seen(id), label, trapped: tab.defaultPrevented };
+});""",
+        **WIDE,
+    )
+    assert len(found) == 4
+    for view in found:
+        assert view["focused"] and not view["trapped"] and view["back"] == view["first"] and view["label"]
+        seen = [view["first"], *(pixels for pixels, _ in view["after"].values())]
+        assert len(set(seen)) == 4 and all(kept for _, kept in view["after"].values())
+
+
+def test_whatever_can_be_pressed_has_a_name_and_can_be_reached(page):
+    found = found_in(
+        page,
+        """const all = [...document.querySelectorAll("button, input, select, summary, canvas[tabindex]")];
+const name = (each) => (each.getAttribute("aria-label") || each.textContent).trim();
+return all.map((each) => [each.tagName, name(each), each.tabIndex]);""",
+    )
+    assert len(found) > 30 and all(name and place >= 0 for _, name, place in found)
+
+
+FINGER = """
+const at = (canvas, type, id, x, y) => {
+  const box = canvas.getBoundingClientRect(), place = { clientX: box.left + x, clientY: box.top + y };
+  const finger = { pointerId: id, pointerType: "touch", isPrimary: id === 1, bubbles: true, cancelable: true };
+  canvas.dispatchEvent(new PointerEvent(type, { ...finger, ...place }));
+};
+const swipe = (canvas, dx, dy) => {
+  at(canvas, "pointerdown", 1, 100, 100);
+  at(canvas, "pointermove", 1, 100 + dx, 100 + dy);
+  at(canvas, "pointerup", 1, 100 + dx, 100 + dy);
+};
+"""
+
+
+def test_a_swipe_scrolls_the_page_until_a_view_is_held(page):
+    found = found_in(
+        page,
+        SEEN
+        + FINGER
+        + """
+const told = {};
+for (const id of ids) {
+  const canvas = document.getElementById(id), style = getComputedStyle(canvas), seq = [seen(id)];
+  told[id] = { free: style.touchAction };
+  swipe(canvas, 0, 60); seq.push(seen(id));     // the page's own
+  swipe(canvas, 60, 0); seq.push(seen(id));     // turns
+  at(canvas, "pointerdown", 1, 50, 50); at(canvas, "pointerdown", 2, 90, 90);
+  at(canvas, "pointermove", 1, 50, 20); at(canvas, "pointermove", 2, 90, 150);
+  at(canvas, "pointerup", 1, 50, 20); at(canvas, "pointerup", 2, 90, 150); seq.push(seen(id));   // two fingers
+  swipe(canvas, 0, 0); told[id].held = style.touchAction;
+  swipe(canvas, 0, -60); seq.push(seen(id));    // held: lowers
+  swipe(canvas, 0, 0); told[id].again = style.touchAction;
+  told[id].seq = seq;
+}
+const left = document.getElementById("left");
+swipe(left, 0, 0);
+document.getElementById("title").dispatchEvent(new PointerEvent("pointerdown", { bubbles: true }));
+told.elsewhere = getComputedStyle(left).touchAction;
+return told;""",
+        **PHONE,
+    )
+    assert found.pop("elsewhere") == "pan-y"
+    assert set(found) == {"left", "right", "third", "flight"}
+    for view in found.values():
+        assert (view["free"], view["held"], view["again"]) == ("pan-y", "none", "pan-y")
+        still, swiped, turned, pinched, lowered = view["seq"]
+        assert still == swiped and len({swiped, turned, pinched, lowered}) == 4
+
+
+def test_the_wheel_scrolls_the_page_until_a_view_was_clicked(page):
+    found = found_in(
+        page,
+        """const canvas = document.getElementById("left");
+const wheel = () => { const event = new WheelEvent("wheel", { deltaY: 100, bubbles: true, cancelable: true });
+  canvas.dispatchEvent(event); return event.defaultPrevented; };
+const before = wheel(); canvas.focus(); return [before, wheel()];""",
+    )
+    assert found == [False, True]
+
+
+COLOURS = """
+const part = (text) => { const v = text / 255; return v <= 0.03928 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4; };
+const light = (text) => {
+  const [r, g, b] = text.match(/[\\d.]+/g).map(part);
+  return 0.2126 * r + 0.7152 * g + 0.0722 * b;
+};
+const ground = (each) => {
+  for (; each; each = each.parentElement) {
+    const colour = getComputedStyle(each).backgroundColor;
+    if (!/, 0\\)$/.test(colour)) return colour;
+  }
+  return "rgb(255, 255, 255)";
+};
+const written = [...document.querySelectorAll("main *")].filter((each) =>
+  each.getClientRects().length && !each.closest(".label, .hint, select")
+  && [...each.childNodes].some((node) => node.nodeType === 3 && node.textContent.trim()));
+const contrast = (each) => {
+  const [a, b] = [light(getComputedStyle(each).color), light(ground(each))].sort((x, y) => x - y);
+  return (b + 0.05) / (a + 0.05);
+};
+const least = written.map((each) => [contrast(each), each.outerHTML.slice(0, 80)]).sort((x, y) => x[0] - y[0])[0];
+return { page: light(getComputedStyle(document.body).backgroundColor), least };
+"""
+
+
+@pytest.mark.parametrize("flags, dark", [((), False), ((DARK,), True)], ids=["light", "dark"])
+def test_text_can_be_read_in_light_and_in_the_dark(page, flags, dark):
+    found = found_in(page, COLOURS, flags=flags)
+    assert (found["page"] < 0.05) == dark
+    assert found["least"][0] >= 4.5, found["least"]  # WCAG's AA for text
+
+
+def test_the_overlay_says_what_it_compares(page):
+    found = found_in(
+        page,
+        """const press = (key, value) => document.querySelector(`[data-set=${key}][data-value=${value}]`).click();
+press("layout", "over"); const where = document.getElementById("leftLabel").textContent;
+press("place", "own"); return [where, document.getElementById("leftLabel").textContent,
+  document.getElementById("scoreTable").textContent];""",
+    )
+    where, own, table = found
+    assert where.endswith("cm apart") and "about its own centre" in own and "cm apart" not in own
+    assert "in 1 slot" in table and "1 slots" not in table and "bound" in table
+
+
+def test_pictures_are_drawn(page, tmp_path):
+    """To look at where ``AUGUST_SCREENSHOTS`` names a folder."""
+    from pathlib import Path
+
+    folder = Path(os.environ.get("AUGUST_SCREENSHOTS", tmp_path))
+    folder.mkdir(parents=True, exist_ok=True)
+    looks = {"desk": (1280, 2600, ()), "telephone": (390, 3600, ()), "dark": (1280, 2600, (DARK,))}
+    sizes = {}
+    for name, (width, height, flags) in looks.items():
+        png = folder / f"report_{name}.png"
+        picture(page, png, width=width, height=height, flags=flags)
+        sizes[name] = png.stat().st_size
+    assert all(size > 60_000 for size in sizes.values())  # a page without its clouds packs into 40 kB
