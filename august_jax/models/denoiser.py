@@ -27,7 +27,7 @@ from august_jax.arrays import Array
 from august_jax.config import TimeEmbedding
 from august_jax.models.diffusion import Schedule
 from august_jax.models.embedding import fourier_features
-from august_jax.models.layers import dense
+from august_jax.models.layers import PRECISION, dense
 
 _OCTAVES = 6
 _CPU_ROWS = 2048
@@ -98,7 +98,7 @@ class Denoiser(nnx.Module):
         def through(points, modulations):
             for index, (kernel, (gate, addend)) in enumerate(zip(kernels, modulations)):
                 points = jax.nn.swish(points) if index else points
-                points = (points @ kernel) * gate[:, None] + addend[:, None]
+                points = jnp.matmul(points, kernel, precision=PRECISION) * gate[:, None] + addend[:, None]
             return points
 
         if jax.default_backend() != "cpu":
