@@ -21,6 +21,7 @@ import numpy as np
 
 from august_jax.app.machine import processor
 from august_jax.files import write_text
+from august_jax.models.layers import PRECISION
 
 Figures = dict[str, Any]
 
@@ -41,9 +42,11 @@ def write(args: argparse.Namespace, figures: Figures) -> None:
 
 
 def machine() -> dict[str, str | int | float]:
-    """What the figures are measured on, with its rate of single-precision matrix products [Gflop/s]; printed too."""
-    square = jnp.ones((3000, 3000), jnp.float32)
-    product = jax.jit(lambda a: a @ a)
+    """What the figures are measured on, with its rate of matrix products in the networks' precision [Gflop/s]; printed
+    too."""
+    size = 3000 if jax.default_backend() == "cpu" else 12_000  # large enough that a call's own time does not show
+    square = jnp.asarray(np.random.default_rng(0).standard_normal((size, size), np.float32))
+    product = jax.jit(lambda a: jnp.matmul(a, a, precision=PRECISION))
     product(square).block_until_ready()
     best = min(seconds(lambda: product(square)) for _ in range(5))
     described = {
@@ -52,7 +55,7 @@ def machine() -> dict[str, str | int | float]:
         "device": jax.devices()[0].device_kind,
         "jax": jax.__version__,
         "python": platform.python_version(),
-        "gflop_s": 2.0 * 3000**3 / best / 1e9,
+        "gflop_s": 2.0 * size**3 / best / 1e9,
     }
     print(described, flush=True)
     return described

@@ -21,6 +21,10 @@ from august_jax.data.fields import Batch
 from august_jax.models import August
 from august_jax.models.diffusion import Schedule, draw_steps
 
+DEVICE = "cuda" if jax.default_backend() == "gpu" and torch.cuda.is_available() else "cpu"
+torch.set_default_device(DEVICE)
+torch.set_float32_matmul_precision("high")  # on a GPU factors are rounded as JAX's defaults round them (TF32)
+
 _LOG_VARIANCE_LIMIT, _LOG_VARIANCE_START, _LOG_SCALE_LIMIT = 12.0, -4.0, 2.0
 
 
@@ -43,8 +47,8 @@ class Heard(NamedTuple):
 
 def heard(batch: Batch) -> Heard:
     """The same batch for PyTorch."""
-    return Heard(*(torch.from_numpy(np.array(part)) for part in (batch.heard, batch.predicted, batch.snr_db,
-                                                                  batch.cloud)))  # fmt: skip
+    parts = (batch.heard, batch.predicted, batch.snr_db, batch.cloud)
+    return Heard(*(torch.from_numpy(np.array(part)).to(DEVICE) for part in parts))
 
 
 def drawn_alike(config: Config, key: jax.Array, points: tuple[int, int, int]) -> Draws:
@@ -55,7 +59,7 @@ def drawn_alike(config: Config, key: jax.Array, points: tuple[int, int, int]) ->
         jax.random.normal(noise_key, points),
         jax.random.normal(latent_key, (points[0], config.model.latent)),
     )
-    return Draws(*(torch.from_numpy(np.array(part)) for part in parts))
+    return Draws(*(torch.from_numpy(np.array(part)).to(DEVICE) for part in parts))
 
 
 def _linear(layer: nnx.Linear) -> nn.Linear:
@@ -230,7 +234,7 @@ def disagreement(networks: August, batch: Batch, key: jax.Array) -> tuple[float,
     # kernels are transposed, so that norms and a few arrays are compared, not the trees
     ours = [np.asarray(leaf) for leaf in jax.tree.leaves(gradient)]
     own = math.sqrt(sum(float((leaf.astype(np.float64) ** 2).sum()) for leaf in ours))
-    first = peer.channel_map.weight.grad.numpy().T
+    first = peer.channel_map.weight.grad.cpu().numpy().T
     mine = np.asarray(gradient["encoder"]["channel_map"]["kernel"][...])
     apart = max(abs(norm - own) / own, float(np.linalg.norm(first - mine) / np.linalg.norm(mine)))
     return abs(theirs.item() - float(value)) / abs(float(value)), apart

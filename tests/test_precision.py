@@ -1,4 +1,4 @@
-"""Products of matrices: all digits of single precision wherever physics is computed, on devices that would round, too."""
+"""Products of matrices: all digits of single precision where physics is computed, on devices that would round too."""
 
 import os
 import subprocess
@@ -8,9 +8,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from flax import nnx
 from jax.extend.core import jaxprs_in_params
 from jax.lax import Precision
-from flax import nnx
 from lattices import cross
 
 from august_jax.config import preset

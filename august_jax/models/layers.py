@@ -31,13 +31,7 @@ def dense(features_in: int, features_out: int, *, rngs: nnx.Rngs, gain: float = 
         return jnp.asarray(np.zeros(shape, dtype))
 
     return nnx.Linear(
-        features_in,
-        features_out,
-        use_bias=bias,
-        kernel_init=weights,
-        bias_init=zeros,
-        precision=PRECISION,
-        rngs=rngs,
+        features_in, features_out, use_bias=bias, kernel_init=weights, bias_init=zeros, precision=PRECISION, rngs=rngs
     )
 
 
