@@ -16,12 +16,15 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from august_jax.arrays import ArrayLike
+from august_jax.constants import SPEED_OF_LIGHT, VACUUM_PERMITTIVITY
 from august_jax.physics.cells import Cells
 
 _GAP = 0.25
 """Centres nearer than this many edges are refused: the dipoles' fields no longer stand for those of cells."""
 _CARRIERS = 1e-6  # relative difference of carriers that are the same one
 _BAND = 0.1  # how far beyond the tones, relative, the carrier that an array is made for may lie
+_VACUUM_OHM = 1.0 / (SPEED_OF_LIGHT * VACUUM_PERMITTIVITY)  # Z0
+_OHM_A_SQUARE = 17.0  # of the skins that stand for metal best
 _ROTATION = 1e-3  # largest entry of R^T R - I that rounding may leave
 
 
@@ -242,15 +245,34 @@ def cells_a_wavelength(edge_m: ArrayLike, fill: ArrayLike, contrast: ArrayLike, 
     return 2.0 * np.pi / (index * wavenumber * edge_m), np.maximum(4.0, np.minimum(index**2, 3.0 * index))
 
 
+def skin_depths(edge_m: ArrayLike, fill: ArrayLike, contrast: ArrayLike, wavenumber: ArrayLike):
+    """How many skin depths of the material, thinned by the fill, a cell's edge is: k d Im m, m^2 = 1 + f chi.
+
+    A field is one number a cell. Beyond one skin depth cells tell that a wave is kept out, and no longer how: solid
+    spheres, 5 and 9 cells across, err in their far field by at most 1.4 % up to 0.3 of it (against Mie's series, ka 0.3
+    and 0.7), and by 4 to 205 % beyond one. Closed skins do better. Of 2 mm and 30 S/m (17 ohm a square), on spheres of
+    ka 1.3 to 2.9 in cells of 4 to 15 mm, they are off a perfectly conducting sphere by 14 to 20 % (37 % where the
+    radius is 1.7 cells), -0.1 to 0.8 dB in the power scattered to all sides; of 300 S/m and more by 5 to 74 %, up to
+    3.4 dB: without loss a skin of cells rings.
+    """
+    return np.asarray(edge_m * wavenumber * np.sqrt(1.0 + np.asarray(fill) * np.asarray(contrast, complex)).imag)
+
+
 def warn_of_coarse_cells(edge_m: ArrayLike, fill: ArrayLike, contrast: ArrayLike | None, wavenumber: ArrayLike) -> None:
-    """Warn where the wavelength in the material is under-resolved; numbers only.
+    """Warn where cells are larger than the skin depth of their material, or else under-resolve the wavelength in it;
+    numbers only.
 
     A contrast that is traced, or None where no material is known yet, is judged at ``ASSUMED_CONTRAST``.
     """
     if not is_concrete((edge_m, fill, wavenumber)):
         return
     known = contrast is not None and is_concrete(contrast)
-    found, wanted = cells_a_wavelength(edge_m, fill, contrast if known else ASSUMED_CONTRAST, wavenumber)
+    chi = np.asarray(contrast if known else ASSUMED_CONTRAST)
+    depths = np.where(chi.imag > np.abs(chi.real), skin_depths(edge_m, fill, chi, wavenumber), 0.0)
+    if np.max(depths) > 1.0:
+        _warn_of_metal(edge_m, fill, chi, depths, wavenumber)
+        return
+    found, wanted = cells_a_wavelength(edge_m, fill, chi, wavenumber)
     share = found / wanted
     if np.min(share) >= 1.0:
         return
@@ -263,6 +285,29 @@ def warn_of_coarse_cells(edge_m: ArrayLike, fill: ArrayLike, contrast: ArrayLike
         f"cells.volumes: cells of {1e3 * edge:.3g} mm make {found:.2g} a wavelength in {material}, of {wanted:.2g} "
         f"wanted; use {1e3 * edge * share:.2g} mm or less",
         stacklevel=4,
+    )
+
+
+def _warn_of_metal(edge_m, fill, contrast, depths, wavenumber) -> None:
+    """Say what cells larger than a skin depth still tell."""
+    worst = int(np.argmax(depths))
+    edge, part, chi, deep = (
+        np.broadcast_to(each, np.shape(depths)).flat[worst] for each in (edge_m, fill, contrast, depths)
+    )
+    a_square = _VACUUM_OHM / (complex(chi).imag * wavenumber * part * edge)  # 1/(sigma f d), sigma = chi'' k/Z0
+    if part > 0.5:
+        figure = "a solid part errs by 4 to 200 % of its far field: give it a skin in its place"
+    elif a_square < 0.8 * _OHM_A_SQUARE:
+        figure = (
+            "a closed skin errs by 5 to 75 % of its far field, up to 3 dB in power, one of "
+            f"{_OHM_A_SQUARE:g} ohm a square ({a_square / _OHM_A_SQUARE:.2g} of this conductivity) by 20 % and 0.8 dB"
+        )
+    else:
+        figure = "a closed skin is within 20 % of its far field, 0.8 dB in power, of a perfectly conducting one"
+    warnings.warn(
+        f"contrast: cells of {1e3 * edge:.3g} mm, filled to {part:.2g}, are {deep:.3g} skin depths of their material, "
+        f"and cannot tell it from a perfect conductor; {figure}",
+        stacklevel=5,
     )
 
 

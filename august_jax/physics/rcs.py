@@ -83,7 +83,7 @@ def scattering_matrix(
     Args:
         craft: a factored body or, for a coupled solve of its own, cells (N of them cost N^3).
         receive: unit vectors from the craft to the receiver, in the craft's frame (D, 3).
-        contrast: chi, scalar; with a body of F tones also (F,).
+        contrast: chi, scalar; of a body of F tones also (F,), of cells also (N,), one value a cell.
         transmit: to the transmitter (D, 3) or (3,); None is where the receiver is (monostatic).
         frequency_hz: of cells; a body has its own.
 
@@ -93,7 +93,7 @@ def scattering_matrix(
 
     Raises:
         ValueError: directions that are not finite or no unit vectors, a contrast of another shape, a frequency where
-            none belongs or none where one does.
+            none belongs or none where one does, malformed cells.
 
     Warns as :func:`body_channel` does of contrasts that cells or the reduction are not made for.
     """
@@ -101,8 +101,9 @@ def scattering_matrix(
     ways = (receive,)  # one where both ends are
     if transmit is not None:
         ways += (jnp.broadcast_to(_directions("transmit", transmit), receive.shape),)
-    tones = len(craft.frequencies_hz) if isinstance(craft, Body) else 1
-    check_contrast(contrast, ((), (tones,)), f"a scalar or ({tones},), one value a tone")
+    of_body = isinstance(craft, Body)
+    values = len(craft.frequencies_hz) if of_body else craft.count
+    check_contrast(contrast, ((), (values,)), f"a scalar or ({values},), one value a {'tone' if of_body else 'cell'}")
     chi = settled("contrast", contrast)
     if isinstance(craft, Body):
         if frequency_hz is not None:
