@@ -1,7 +1,9 @@
-"""Clouds and samples as files that other programs read: PLY, NPZ, MATLAB and JSON; every write is atomic.
+"""Clouds and samples as files that other programs read: PLY, CSV, NPZ, MATLAB and JSON; every write is atomic.
 
-PLY is binary little-endian with one float per property, so that point-cloud viewers show the permittivity and the
-conductivity as scalar fields. The other formats hold a record: a flat mapping of names to arrays.
+PLY and CSV hold one cloud, a point a row: its place, permittivity and conductivity. In PLY, binary little-endian, the
+material stands as one float per property, which viewers show as scalar fields, and as a colour for those that read no
+scalars. The other formats hold a record: a flat mapping of names to arrays, with the unit of each and what its axes
+are.
 """
 
 from __future__ import annotations
@@ -16,61 +18,162 @@ import numpy as np
 from august_jax.arrays import Array, ArrayLike
 from august_jax.files import replacing
 
-FORMATS = ("ply", "npz", "mat", "json")
+FORMATS = ("ply", "csv", "npz", "mat", "json")
 """What ``august export`` writes."""
+COLUMNS = ("x", "y", "z", "permittivity", "conductivity")
+"""Of a cloud: [m], [1] and [S/m]."""
+DESCRIBED: Mapping[str, tuple[str, tuple[str, ...]]] = {
+    "time_s": ("s", ()),
+    "position": ("m", ("xyz",)),
+    "rotation": ("1", ("world xyz", "body xyz")),
+    "predicted": ("m", ("xyz",)),
+    "snr_db": ("dB", ()),
+    "snr_estimate_db": ("dB", ()),
+    "power_dbm": ("dBm", ()),
+    "permittivity": ("1", ()),
+    "conductivity": ("S/m", ()),
+    "airframe": ("place in target.airframes", ()),
+    "flight": ("number of the flight", ()),
+    "slot": ("number of the slot in its flight", ()),
+    "truth": ("m", ("point", "xyz")),
+    "resampled": ("m", ("point", "xyz")),
+    "points": ("m", ("point", "xyz")),
+    "point_permittivity": ("1", ("point",)),
+    "point_conductivity": ("S/m", ("point",)),
+    "normal_estimate": ("1", ("xyz",)),
+    "received": ("1, in units of the noise", ("tone", "function of the region", "function of the region")),
+    "pilots": ("m, in units of the noise", ("tone", "function of the region", "function of the region")),
+    "detected": ("true or false", ()),
+    "lost": ("true or false", ()),
+    "threshold_m": ("m", ()),
+    "true_channel": ("1/m, of time e^{-jwt}", ("tone", "receiving antenna", "sending antenna")),
+    "estimated_channel": ("1/m, of time e^{-jwt}", ("tone", "receiving antenna", "sending antenna")),
+    "azimuth_deg": ("deg", ("azimuth",)),
+    "elevation_deg": ("deg", ("elevation",)),
+    "frequency_hz": ("Hz", ("frequency",)),
+    "rcs_hh_dbsm": ("dB re 1 m^2", ("elevation", "azimuth", "frequency")),
+    "rcs_hv_dbsm": ("dB re 1 m^2", ("elevation", "azimuth", "frequency")),
+    "rcs_vh_dbsm": ("dB re 1 m^2", ("elevation", "azimuth", "frequency")),
+    "rcs_vv_dbsm": ("dB re 1 m^2", ("elevation", "azimuth", "frequency")),
+    "scattering_m": ("m, of time e^{-jwt}", ("elevation", "azimuth", "frequency", "received H V", "sent H V")),
+    "conductivity_s_m": ("S/m", ()),
+    "half_wheelbase_m": ("m", ()),
+    "transmit_deg": ("deg", ("azimuth, elevation",)),
+}
+"""Name of an array of a slot, a sample or a cross-section -> its unit, and its axes, the first one first."""
+_COLOURS = np.array([[68, 1, 84], [71, 44, 122], [59, 81, 139], [44, 113, 142], [33, 144, 141], [39, 173, 129],
+                     [92, 200, 99], [170, 220, 50], [253, 231, 37]])  # fmt: skip
+"""From the lowest permittivity to the highest, as the report has them."""
+_GREY = 150
 
 
-def write_ply(path: str | Path, points: Array, permittivity: ArrayLike, conductivity: ArrayLike) -> None:
-    """Write a cloud as binary PLY with the properties x, y, z, permittivity and conductivity.
+def write_ply(
+    path: str | Path,
+    points: Array,
+    permittivity: ArrayLike,
+    conductivity: ArrayLike,
+    *,
+    span: tuple[float, float] = (1.0, 6.0),
+) -> None:
+    """Write a cloud as binary PLY with the properties x, y, z, permittivity, conductivity, red, green and blue.
 
     Args:
         path: the file.
         points: positions (M, 3) [m].
         permittivity: relative permittivities (M,) or one number.
         conductivity: conductivities (M,) or one number [S/m].
+        span: permittivities between which colours run from dark to light; points of an unknown one are grey.
 
     Raises:
         ValueError: the points are no list of places.
     """
-    points = np.asarray(points)
-    if points.ndim != 2 or points.shape[1] != 3:
-        raise ValueError(f"points: shape {points.shape} where (M, 3) is wanted; write one cloud a file")
-    names = ("x", "y", "z", "permittivity", "conductivity")
-    table = np.empty((len(points), len(names)), "<f4")
-    table[:, :3] = points
-    table[:, 3] = permittivity
-    table[:, 4] = conductivity
+    values = _columns(points, permittivity, conductivity)
+    kinds = [*((name, "<f4") for name in COLUMNS), *((name, "u1") for name in ("red", "green", "blue"))]
+    table = np.empty(len(values), kinds)
+    for name, column in zip(COLUMNS, values.T):
+        table[name] = column
+    colours = _coloured(values[:, 3], span)
+    for name, column in zip(("red", "green", "blue"), colours.T):
+        table[name] = column
+    words = {"<f4": "float", "u1": "uchar"}
     header = [
         "ply",
         "format binary_little_endian 1.0",
-        "comment positions in metres, conductivity in S/m",
-        f"element vertex {len(points)}",
-        *(f"property float {name}" for name in names),
+        "comment positions in metres, conductivity in S/m, colours by permittivity from "
+        f"{span[0]:g} (dark) to {span[1]:g} (light)",
+        f"element vertex {len(table)}",
+        *(f"property {words[kind]} {name}" for name, kind in kinds),
         "end_header\n",
     ]
     with replacing(path) as aside:
         aside.write_bytes("\n".join(header).encode("ascii") + table.tobytes())
 
 
-def write_record(path: str | Path, record: Mapping[str, Any]) -> None:
+def write_csv(path: str | Path, points: Array, permittivity: ArrayLike, conductivity: ArrayLike) -> None:
+    """Write a cloud as CSV: a line of headings with units, then a point a line. Arguments as of :func:`write_ply`.
+
+    Raises:
+        ValueError: the points are no list of places.
+    """
+    values = _columns(points, permittivity, conductivity)
+    with replacing(path) as aside:
+        np.savetxt(aside, values, fmt="%.9g", delimiter=",", comments="",
+                   header="x_m,y_m,z_m,permittivity,conductivity_s_m")  # fmt: skip
+
+
+def _columns(points: Array, permittivity: ArrayLike, conductivity: ArrayLike) -> np.ndarray:
+    points = np.asarray(points)
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise ValueError(f"points: shape {points.shape} where (M, 3) is wanted; write one cloud a file")
+    values = np.empty((len(points), len(COLUMNS)), np.float32)
+    values[:, :3] = points
+    values[:, 3] = permittivity
+    values[:, 4] = conductivity
+    return values
+
+
+def _coloured(values: np.ndarray, span: tuple[float, float]) -> np.ndarray:
+    """Colours (M, 3) of numbers (M,), grey where they are none."""
+    level = np.clip((values - span[0]) / max(span[1] - span[0], 1e-30), 0.0, 1.0) * (len(_COLOURS) - 1)
+    known = np.isfinite(level)
+    at = np.arange(len(_COLOURS))
+    colours = np.stack([np.interp(np.where(known, level, 0.0), at, each) for each in _COLOURS.T], axis=-1)
+    return np.where(known[:, None], np.round(colours), _GREY).astype(np.uint8)
+
+
+def write_record(path: str | Path, record: Mapping[str, Any], *, described: bool = False) -> None:
     """Write a flat mapping of arrays; the suffix of ``path`` says how: ``.npz``, ``.mat`` or ``.json``.
 
     JSON turns a complex array into ``{"real": ..., "imag": ...}`` and numbers that are not finite into null.
+
+    Args:
+        path: the file.
+        record: arrays by name.
+        described: also write ``units`` and ``axes``, what :data:`DESCRIBED` says of the names in the record: in MATLAB
+            structures, in JSON objects, in NPZ arrays of pairs of a name and a text.
 
     Raises:
         ValueError: another suffix.
     """
     path = Path(path)
     arrays = {name: np.asarray(value) for name, value in record.items()}
+    about: dict[str, dict[str, str]] = {}
+    if described:
+        known = {name: DESCRIBED[name] for name in arrays if name in DESCRIBED}
+        about = {
+            "units": {name: unit for name, (unit, _) in known.items()},
+            "axes": {name: " x ".join(axes) or "one number" for name, (_, axes) in known.items()},
+        }
     with replacing(path) as aside:
         if path.suffix == ".npz":
-            np.savez_compressed(aside, **arrays)  # type: ignore[arg-type]
+            pairs = {name: np.array(list(texts.items())) for name, texts in about.items()}
+            np.savez_compressed(aside, **arrays, **pairs)  # type: ignore[arg-type]
         elif path.suffix == ".mat":
             from scipy.io import savemat
 
-            savemat(aside, arrays, do_compression=True, oned_as="row")
+            savemat(aside, {**arrays, **about}, do_compression=True, oned_as="row")
         elif path.suffix == ".json":
-            plain = {name: _plain(array) for name, array in arrays.items()}
+            plain = {name: _plain(array) for name, array in arrays.items()} | about
             aside.write_text(json.dumps(plain, allow_nan=False), encoding="utf-8")
         else:
             raise ValueError(f"path: unknown suffix {path.suffix!r}; a record is written as .npz, .mat or .json")

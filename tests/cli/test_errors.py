@@ -118,7 +118,7 @@ CASES = {
         ["data.solver", "born", "mom or table"],
     ),
     "no such source": ("export {tmp}/nowhere --format ply", ["{tmp}/nowhere", "august demo"]),
-    "unknown format": ("export {tmp} --format docx", ["--format", "'docx'", "ply, npz, mat, json"]),
+    "unknown format": ("export {tmp} --format docx", ["--format", "'docx'", "ply, csv, npz, mat, json"]),
 }
 
 

@@ -279,16 +279,20 @@ def test_a_point_is_followed_without_networks(capsys, tmp_path):
     assert (tmp_path / "report.html").is_file()
 
 
-@pytest.mark.parametrize("kind, count", [("ply", 2), ("mat", 1), ("json", 1)])
+@pytest.mark.parametrize("kind, count", [("ply", 2), ("csv", 2), ("mat", 1), ("json", 1)])
 def test_export_of_a_flight(capsys, flown, tmp_path, kind, count):
     result = call(capsys, "export", flown, "--format", kind, "--index", 1, "--out", tmp_path)
     assert result["index"] == 1 and len(result["files"]) == count
     assert {str(path) for path in tmp_path.iterdir()} == set(result["files"])
     with np.load(flown / "clouds.npz") as track:
         wanted = {"truth": track["truth"][1], "points": track["points"][1]}
-    if kind == "ply":
+    if kind in ("ply", "csv"):
+        read = {
+            "ply": lambda path: trimesh.load(path).vertices,
+            "csv": lambda path: np.loadtxt(path, delimiter=",", skiprows=1)[:, :3],
+        }[kind]
         found = {
-            name: trimesh.load(tmp_path / f"demo_00001_{file}.ply").vertices
+            name: read(tmp_path / f"demo_00001_{file}.{kind}")
             for name, file in (("truth", "true"), ("points", "reconstructed"))
         }
     else:

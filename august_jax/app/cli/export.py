@@ -16,7 +16,7 @@ from august_jax.config import ConfigError
 def _arguments(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(places=1)
     parser.usage = f"{parser.prog} SOURCE --format FORMAT [options]"
-    parser.add_argument("--format", required=True, metavar="FORMAT", help="ply, npz, mat or json")
+    parser.add_argument("--format", required=True, metavar="FORMAT", help="ply, csv, npz, mat or json")
     parser.add_argument(
         "--index",
         type=whole(-(2**31)),
@@ -27,7 +27,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(args: argparse.Namespace) -> dict[str, Any]:
-    from august_jax.app.export import FORMATS, write_ply, write_record
+    from august_jax.app.export import FORMATS, write_csv, write_ply, write_record
 
     if args.format not in FORMATS:
         raise ConfigError(f"--format: unknown format {args.format!r}; choose one of {', '.join(FORMATS)}")
@@ -38,13 +38,13 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
     source, out = Path(args.rest[0]), folder(args, "august_export")
     index, record, clouds = _source(source, args.index)
     name = f"{source.resolve().name}_{index:05d}"
-    if args.format == "ply":
-        paths = [out / f"{name}_{kind}.ply" for kind in clouds]
+    if args.format in ("ply", "csv"):
+        paths = [out / f"{name}_{kind}.{args.format}" for kind in clouds]
         for path, cloud in zip(paths, clouds.values()):
-            write_ply(path, *cloud)
+            (write_ply if args.format == "ply" else write_csv)(path, *cloud)
     else:
         paths = [out / f"{name}.{args.format}"]
-        write_record(paths[0], record)
+        write_record(paths[0], record, described=True)
     say(args, f"written: {', '.join(map(str, paths))}")
     return {"index": index, "files": [str(path) for path in paths]}
 
@@ -101,4 +101,4 @@ def _place(index: int, count: int, source: Path) -> int:
     return index % count
 
 
-COMMAND = Command("a result or a sample as PLY, NPZ, MATLAB or JSON", _arguments, _run, configured=False)
+COMMAND = Command("a result or a sample as PLY, CSV, NPZ, MATLAB or JSON", _arguments, _run, configured=False)
