@@ -1,4 +1,5 @@
-"""Whether this installation can work: versions, devices, sums, a small physics check, room to write, weights."""
+"""Whether this installation can work, and what will be slow: versions, devices, memory, sums, a small physics check,
+the cache, room to write, weights; each with the way out."""
 
 from __future__ import annotations
 
@@ -13,6 +14,8 @@ from typing import NamedTuple
 
 from august_jax import UNFUSED_SUMS, config, names_a_file
 from august_jax.app.devices import describe_backend_error
+from august_jax.app.machine import memory
+from august_jax.files import cache_folder
 
 PACKAGES = (
     "jax",
@@ -33,8 +36,13 @@ _ROOM_BYTES = 2 * 1024**3
 """For everything but data sets: factored bodies in the cache, runs, results."""
 
 
+_MEMORY_BYTES = 3 * 1024**3 // 2
+"""A demo with a search of one slot among two drones holds 1.4 GB at most."""
+_NVIDIA = ("/proc/driver/nvidia/version", "/dev/nvidia0")
+
+
 class Check(NamedTuple):
-    """One line of the doctor's report; ``passed`` is None for what is optional and absent."""
+    """One line of the doctor's report; ``passed`` is None for what works but not as well as it could."""
 
     name: str
     passed: bool | None
@@ -56,11 +64,13 @@ def examine(out: Path) -> Iterator[Check]:
     yield _guarded("settings", _settings)
     devices = _guarded("devices", _devices)
     yield devices
+    yield _guarded("memory", _memory)
     if devices.passed:  # nothing can be computed otherwise
         yield _guarded("sums", _sums)
         yield _guarded("physics", _physics)
     yield _guarded("cache", _cache)
     yield _guarded("disk", lambda: _disk(out))
+    yield _guarded("speed", lambda: _speed(bool(devices.passed)))
     if devices.passed:  # arrays of a device
         yield _guarded("weights", _weights)
         yield _guarded("predictor", _predictor)
@@ -101,6 +111,44 @@ def _devices() -> tuple[bool, str]:
     return True, ", ".join(str(device) for device in jax.devices())
 
 
+def _memory() -> tuple[bool | None, str]:
+    found = memory()
+    if found is None:
+        return None, "the system does not tell"
+    said = f"{found.free / 1024**3:.1f} GiB free of {found.total / 1024**3:.1f}; wanted {_MEMORY_BYTES / 1024**3:.1f}"
+    if found.free < _MEMORY_BYTES:
+        return False, said + ": end other programs, or take a machine with more; --search 0 takes less"
+    return True, said + "; august train --dry-run says what a configuration takes"
+
+
+def _speed(computes: bool) -> tuple[bool | None, str]:
+    """What will be slow here, and the way out; nothing of it keeps anything from working."""
+    slow = []
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    if cores < 2:
+        slow.append("one CPU core: expect more than the times of august train --help, which are of two")
+    if computes:
+        import jax
+
+        if jax.default_backend() == "cpu":
+            if any(Path(mark).exists() for mark in _NVIDIA):
+                slow.append(
+                    "there is an NVIDIA GPU, but JAX does not use it: pip install -c constraints.txt 'jax[cuda12]', "
+                    "and leave JAX_PLATFORMS unset"
+                )
+            slow.append("no GPU: train the preset laptop, paper is for one")
+        if not jax.config.jax_compilation_cache_dir:  # type: ignore[attr-defined]
+            slow.append(
+                "compiled programs are not kept, so that each command compiles anew: unset "
+                "JAX_ENABLE_COMPILATION_CACHE, or make the cache writable"
+            )
+    if not any(cache_folder().glob("body-*.npz")):
+        slow.append("nothing is factored yet: the first command takes up to a minute a drone longer, once")
+    if "xla_backend_optimization_level=0" in os.environ.get("XLA_FLAGS", ""):
+        slow.append("XLA_FLAGS turns optimisation off: unset it")
+    return None if slow else True, "; ".join(slow) or "nothing is known to be slow here"
+
+
 def _sums() -> tuple[bool, str]:
     from august_jax.app.sums import many_axes_fault, wrong_sums
 
@@ -136,14 +184,31 @@ def _physics() -> tuple[bool, str]:
 def _cache() -> tuple[bool, str]:
     import jax
 
-    from august_jax.physics import cache_folder
-
     place = cache_folder()
     place.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryFile(dir=place):
         pass
-    compiled = jax.config.jax_compilation_cache_dir  # type: ignore[attr-defined]
-    return True, f"{place} can be written; compiled programs: {compiled or 'not kept'}"
+    kept = jax.config.jax_compilation_cache_dir  # type: ignore[attr-defined]
+    sizes = f"{_told(_size_of(place))}"
+    programs = f"{kept} ({_told(_size_of(Path(kept)))})" if kept else "not kept"
+    return True, (
+        f"{place} can be written and holds {sizes}; compiled programs: {programs}; AUGUST_CACHE puts it elsewhere, and "
+        "what is removed is made again"
+    )
+
+
+def _size_of(place: Path) -> int:
+    total = 0
+    for path in place.rglob("*"):
+        try:
+            total += path.stat().st_size
+        except FileNotFoundError:  # another process makes room
+            continue
+    return total
+
+
+def _told(size: int) -> str:
+    return f"{size / 1024**3:.1f} GiB" if size > 1024**3 / 2 else f"{size / 1024**2:.0f} MiB"
 
 
 def _disk(out: Path) -> tuple[bool, str]:

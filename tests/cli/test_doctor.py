@@ -7,8 +7,11 @@ import subprocess
 import sys
 from types import SimpleNamespace
 
+import jax
+
 from august_jax import UNFUSED_SUMS, pipeline
 from august_jax.app import cli, doctor, sums
+from august_jax.app.machine import Memory, memory
 from august_jax.tracking.predictors import lstm
 
 
@@ -22,6 +25,8 @@ def test_a_sound_installation_passes(capsys):
         "packages",
         "settings",
         "devices",
+        "memory",
+        "speed",
         "sums",
         "physics",
         "cache",
@@ -99,3 +104,34 @@ def test_the_room_that_data_need_is_said(tmp_path, monkeypatch):
     passed, detail = doctor._disk(tmp_path / "new" / "folder")
     assert passed and detail.startswith("5.0 GiB free; wanted 2")
     assert "laptop 5.3 (more than there is)" in detail and "paper 2.1" in detail
+
+
+def test_too_little_memory_is_a_fault_with_a_way_out(monkeypatch):
+    monkeypatch.setattr(doctor, "memory", lambda: Memory(4 * 1024**3, 512 * 1024**2))
+    passed, detail = doctor._memory()
+    assert passed is False and "0.5 GiB free of 4.0; wanted 1.5" in detail and "--search 0" in detail
+    monkeypatch.setattr(doctor, "memory", lambda: None)
+    assert doctor._memory() == (None, "the system does not tell")
+
+
+def test_memory_of_this_machine_is_read():
+    found = memory()
+    assert found is None or (0 <= found.free <= found.total and found.total > 2**28)
+
+
+def test_what_will_be_slow_is_said_with_the_way_out(monkeypatch, tmp_path):
+    monkeypatch.setenv("AUGUST_CACHE", str(tmp_path))
+    monkeypatch.setattr(doctor, "_NVIDIA", (str(tmp_path),))
+    passed, detail = doctor._speed(True)
+    assert passed is None and "nothing is factored yet" in detail
+    if jax.default_backend() == "cpu":
+        assert "jax[cuda12]" in detail and "laptop" in detail
+    (tmp_path / "body-1-x.npz").touch()
+    assert "factored" not in doctor._speed(False)[1]
+
+
+def test_the_cache_says_its_place_and_size(monkeypatch, tmp_path):
+    monkeypatch.setenv("AUGUST_CACHE", str(tmp_path))
+    (tmp_path / "body-1-x.npz").write_bytes(bytes(3 * 1024**2))
+    passed, detail = doctor._cache()
+    assert passed and f"{tmp_path} can be written and holds 3 MiB" in detail and "AUGUST_CACHE" in detail

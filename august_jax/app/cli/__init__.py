@@ -17,8 +17,9 @@ import warnings
 from collections.abc import Sequence
 
 from august_jax.app.cli import demo, doctor, evaluate, export, rcs, reconstruct, simulate, track, train
+from august_jax.app.cli.clock import watched
 from august_jax.app.cli.messages import note, told
-from august_jax.app.cli.parser import parse
+from august_jax.app.cli.parser import alike, parse
 
 COMMANDS = {
     "doctor": doctor.COMMAND,
@@ -53,7 +54,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             from august_jax.app.compiled import keep_compiled  # with NumPy, which --help does without
 
             keep_compiled()
-            result = COMMANDS[args.command].run(args)
+            with watched(alike(args)):
+                result = COMMANDS[args.command].run(args)
         if args.json:
             print(json.dumps(result, allow_nan=False))
         if result.get("failed"):

@@ -51,7 +51,10 @@ def folder(args: argparse.Namespace, default: str, *, configured: bool = False) 
 def mesh_arguments(parser: argparse.ArgumentParser, *, required: bool) -> None:
     """``--mesh`` and how its file is read, and the craft's size."""
     parser.add_argument(
-        "--mesh", required=required, metavar="FILE", help="OBJ, STL, PLY, GLB, or DAE with the extra [dae]"
+        "--mesh",
+        required=required,
+        metavar="FILE",
+        help="OBJ, STL, PLY, GLB, or DAE with the extra [dae]" + ("" if required else " (default: none)"),
     )
     parser.add_argument(
         "--unit",
@@ -68,7 +71,10 @@ def mesh_arguments(parser: argparse.ArgumentParser, *, required: bool) -> None:
         "--forward", default="auto", metavar="AXIS", help="the file's forward axis (default: the format's, else x)"
     )
     parser.add_argument(
-        "--half-wheelbase", type=number("target.half_wheelbase_m"), metavar="M", help="scale to this half-wheelbase [m]"
+        "--half-wheelbase",
+        type=number("target.half_wheelbase_m"),
+        metavar="M",
+        help="scale to this half-wheelbase [m] (default: the file's own; of a procedural craft the configuration's)",
     )
 
 

@@ -62,4 +62,4 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
     )
 
 
-COMMAND = Command("fly a short track and reconstruct it with the shipped weights", _arguments, _run)
+COMMAND = Command("fly a short track and reconstruct it with the shipped weights", _arguments, _run, out="august_demo")

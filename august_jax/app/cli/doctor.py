@@ -20,7 +20,7 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
     checks = []
     for check in doctor.examine(Path(args.out or ".")):
         checks.append(check)
-        say(args, f"{ {True: 'pass', False: 'FAIL', None: 'none'}[check.passed] }  {check.name:12s} {check.detail}")
+        say(args, f"{ {True: 'pass', False: 'FAIL', None: 'note'}[check.passed] }  {check.name:12s} {check.detail}")
     failed = [check.name for check in checks if check.passed is False]
     if not failed:
         say(args, "all is well; next: august demo")
@@ -30,4 +30,10 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
     }
 
 
-COMMAND = Command("check this installation", _arguments, _run, configured=False)
+COMMAND = Command(
+    "check this installation",
+    _arguments,
+    _run,
+    configured=False,
+    out_help="whose disk is looked at, which nothing is written to",
+)

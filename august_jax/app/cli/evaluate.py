@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import argparse
 import json
+from pathlib import Path
 from typing import Any
 
 from august_jax import config as configuration
 from august_jax.app.cli.common import chosen_weights, counted, folder
+from august_jax.app.cli.dry import about, dry_run_argument, size, told_plan
 from august_jax.app.cli.messages import UsageError, command_line, expected_table, note, say, scheme_table, search_table
 from august_jax.app.cli.parser import Command, whole
+from august_jax.config import Config
 
 _MOST_RUNS = 64
 
@@ -28,6 +31,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
         metavar="NAMES",
         help="which schemes to ask, separated by commas; august is the networks (default: all)",
     )
+    dry_run_argument(parser)
     parser.add_argument("--seed", type=whole(), default=1, metavar="N", help="of the fresh samples (default 1)")
 
 
@@ -44,6 +48,8 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
     first, config = chosen_weights(args, runs[0])
     several = lines_of([first, *map(pipeline.load_networks, runs[1:])])
     chosen = None if args.schemes is None else [name.strip() for name in args.schemes.split(",")]
+    if args.dry_run:
+        return _plan(args, config, out, len(several), chosen)
     rows = evaluation.evaluate(
         first if len(several) == 1 else several, config, seed=args.seed, schemes=chosen, progress=note
     )
@@ -69,4 +75,23 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
     return {"out": str(out), **result}
 
 
-COMMAND = Command("accuracy over SNR beside the baselines", _arguments, _run)
+def _plan(
+    args: argparse.Namespace, config: Config, out: Path, networks: int, chosen: list[str] | None
+) -> dict[str, Any]:
+    from august_jax.app.plan import evaluation
+
+    plan = evaluation(config, networks, chosen)
+    levels = ", ".join(f"{level:g}" for level in plan["snr_db"])
+    lines = [
+        ("samples", f"{plan['samples']}, each at {levels} dB, into {out}/"),
+        ("asked", ", ".join(plan["asked"]) + (f"; {networks} networks" if networks > 1 else "")),
+        ("time", f"{about(plan['seconds'])} to simulate on two CPU cores, a minute or two to compile, and up to "
+                 f"{about(plan['factoring_seconds'])[6:]} before where the drones are not factored yet"),
+        ("search", f"{counted(plan['searched'], 'slot')}, {about(plan['search_seconds'])}"
+                   + ("; evaluate.searched=0 leaves it out" if plan["searched"] else "")),
+        ("memory", f"about {size(plan['memory_bytes'])}"),
+    ]  # fmt: skip
+    return told_plan(args, plan, lines)
+
+
+COMMAND = Command("accuracy over SNR beside the baselines", _arguments, _run, out="august_evaluate")

@@ -101,4 +101,6 @@ def _place(index: int, count: int, source: Path) -> int:
     return index % count
 
 
-COMMAND = Command("a result or a sample as PLY, CSV, NPZ, MATLAB or JSON", _arguments, _run, configured=False)
+COMMAND = Command(
+    "a result or a sample as PLY, CSV, NPZ, MATLAB or JSON", _arguments, _run, configured=False, out="august_export"
+)

@@ -11,6 +11,7 @@ import textwrap
 from collections.abc import Collection, Sequence
 from typing import Any
 
+from august_jax.app.cli.clock import heard
 from august_jax.app.devices import describe_backend_error
 
 _MOST_LINES = 6
@@ -70,6 +71,7 @@ def say(args: argparse.Namespace, text: str) -> None:
 def note(text: str) -> None:
     """A line of progress, on stderr."""
     print(text, file=sys.stderr, flush=True)
+    heard(text)
 
 
 def command_line(*words: str) -> str:
@@ -141,12 +143,12 @@ def told(error: Exception, options: Collection[str] = ()) -> str:
     return "\n".join(lines if len(lines) <= _MOST_LINES else [*lines[: _MOST_LINES - 1], "  ..."])
 
 
-def table(rows: Sequence[Sequence[str]]) -> str:
-    """Rows of cells, aligned: the first column to the left, the others to the right."""
+def table(rows: Sequence[Sequence[str]], *, right: bool = True) -> str:
+    """Rows of cells, aligned: the first column to the left, the others to the ``right``, or to the left as well."""
     widths = [max(map(len, column)) for column in zip(*rows)]
     return "\n".join(
         "  ".join(
-            cell.ljust(width) if index == 0 else cell.rjust(width)
+            cell.rjust(width) if index and right else cell.ljust(width)
             for index, (cell, width) in enumerate(zip(row, widths))
         ).rstrip()
         for row in rows

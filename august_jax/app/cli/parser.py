@@ -11,6 +11,7 @@ from typing import Any, NamedTuple, NoReturn
 
 from august_jax import __version__
 from august_jax import config as configuration
+from august_jax.app.cli.completion import SHELLS, completion
 from august_jax.app.cli.messages import UsageError
 from august_jax.config import Bounds
 
@@ -46,12 +47,37 @@ class Command(NamedTuple):
         arguments: adds its own options to the parser.
         run: does it, with what :func:`parse` returned; its result is what ``--json`` prints.
         configured: whether it takes ``--preset`` and overrides.
+        out: where it writes unless told otherwise, for the help.
+        out_help: what ``--out`` is.
     """
 
     summary: str
     arguments: Callable[[argparse.ArgumentParser], None]
     run: Callable[[argparse.Namespace], dict[str, Any]]
     configured: bool = True
+    out: str = "."
+    out_help: str = "where to write"
+
+
+class _Formatter(argparse.RawDescriptionHelpFormatter):
+    """Help that says of every option what it takes and what it is where it is left out."""
+
+    def _get_help_string(self, action: argparse.Action) -> str:
+        text = action.help or ""
+        if not action.option_strings or action.nargs == 0 or text == argparse.SUPPRESS:
+            return text
+        notes = [str(takes)] if (takes := getattr(action.type, "takes", None)) else []
+        if action.choices is None and "default" not in text:
+            notes.append("required" if action.required else f"default {_shown(action.default)}")
+        elif action.choices is not None and "default" not in text:
+            notes.append(f"one of {', '.join(map(str, action.choices))}; default {_shown(action.default)}")
+        return f"{text} [{'; '.join(notes)}]" if notes else text
+
+
+def _shown(value: Any) -> str:
+    if value is None:
+        return "none"
+    return ":".join(f"{each:g}" for each in value) if isinstance(value, tuple) else str(value)
 
 
 class _Parser(argparse.ArgumentParser):
@@ -59,7 +85,7 @@ class _Parser(argparse.ArgumentParser):
         unknown = re.match(r"unrecognized arguments: (\S+)", message)
         if unknown:
             known = [option.strip("-") for option in _options(self)]
-            near = difflib.get_close_matches(unknown[1].strip("-").partition("=")[0], known, n=1)
+            near = difflib.get_close_matches(unknown[1].strip("-").partition("=")[0], known, n=1, cutoff=0.65)
             hint = f"; did you mean --{near[0]}?" if near else "; overrides are of the form section.field=value"
             message = f"unknown argument {unknown[1]!r}{hint}"
         raise UsageError(f"{message}\nsee: {self.prog} --help")
@@ -88,13 +114,19 @@ def parse(words: Sequence[str], commands: Mapping[str, Command]) -> argparse.Nam
         + "\n\nstart here: august demo\neach command explains itself: august COMMAND --help",
     )
     top.add_argument("--version", action="version", version=f"august_jax {__version__}")
+    top.add_argument(
+        "--completion", choices=SHELLS, help=f"print what completes commands and options in {' or '.join(SHELLS)}"
+    )
     top.add_argument("command", nargs="?", help=argparse.SUPPRESS)
     if not words or words[0].startswith("-"):
         try:
-            top.parse_args(words)
+            asked = top.parse_args(words)
         except SystemExit:  # --help and --version have printed
             return None
-        top.print_help()
+        if asked.completion:
+            print(completion({name: parser_of(name, each) for name, each in commands.items()}, asked.completion))
+        else:
+            top.print_help()
         return None
     name = words[0]
     if name not in commands:
@@ -105,24 +137,7 @@ def parse(words: Sequence[str], commands: Mapping[str, Command]) -> argparse.Nam
             + f"choose one of {', '.join(commands)}"
         )
     command = commands[name]
-    parser = _Parser(
-        prog=f"august {name}",
-        description=command.summary,
-        allow_abbrev=False,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    command.arguments(parser)
-    if command.configured:
-        parser.add_argument("--preset", metavar="NAME", help=f"one of {', '.join(configuration.PRESETS)}")
-    parser.add_argument("--out", metavar="DIR", help="where to write")
-    parser.add_argument("--json", action="store_true", help="the result as JSON on stdout")
-    parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
-    parser.add_argument(
-        "rest",
-        nargs="*",
-        metavar="section.field=value",
-        help="overrides of the configuration" if command.configured else argparse.SUPPRESS,
-    )
+    parser = parser_of(name, command)
     try:
         args = parser.parse_intermixed_args(_join_signed(words[1:]))
     except SystemExit:
@@ -148,6 +163,38 @@ def parse(words: Sequence[str], commands: Mapping[str, Command]) -> argparse.Nam
             f"see: august {name} --help"
         )
     return args
+
+
+def parser_of(name: str, command: Command) -> argparse.ArgumentParser:
+    """What reads the words after ``august NAME``."""
+    parser = _Parser(prog=f"august {name}", description=command.summary, allow_abbrev=False, formatter_class=_Formatter)
+    command.arguments(parser)
+    if command.configured:
+        parser.add_argument(
+            "--preset",
+            metavar="NAME",
+            help=f"one of {', '.join(configuration.PRESETS)} (default: that of the weights or the data, else laptop)",
+        )
+    parser.add_argument("--out", metavar="DIR", help=f"{command.out_help} (default: {command.out})")
+    parser.add_argument("--json", action="store_true", help="the result as JSON on stdout")
+    parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
+    parser.add_argument(
+        "rest",
+        nargs="*",
+        metavar="section.field=value",
+        help="overrides of the configuration, of docs/configuration.md" if command.configured else argparse.SUPPRESS,
+    )
+    return parser
+
+
+_PLACES = ("out", "seed", "json", "debug", "command", "options", "words", "places", "rest")
+"""Arguments that do not change how long a command takes."""
+
+
+def alike(args: argparse.Namespace) -> str:
+    """The command with all that it was asked that may change how long it takes."""
+    asked = {name: value for name, value in sorted(vars(args).items()) if name not in _PLACES and value is not None}
+    return f"{args.command} {asked}"
 
 
 def _join_signed(words: Sequence[str]) -> list[str]:
@@ -178,13 +225,19 @@ def numbers(count: int, bounds: Bounds | str) -> Callable[[str], tuple[float, ..
             raise argparse.ArgumentTypeError(f"{text} {complaint}")
         return values
 
+    read.takes = f"{'each ' if count > 1 else ''}{within}"  # type: ignore[attr-defined]
     return read
 
 
 def number(bounds: Bounds | str) -> Callable[[str], float]:
     """An argparse type: a finite number within bounds, or those of the field that is named."""
     read = numbers(1, bounds)
-    return lambda text: read(text)[0]
+
+    def alone(text: str) -> float:
+        return read(text)[0]
+
+    alone.takes = read.takes  # type: ignore[attr-defined]
+    return alone
 
 
 def whole(low: int = 0, high: int = 2**31 - 1) -> Callable[[str], int]:
@@ -195,6 +248,8 @@ def whole(low: int = 0, high: int = 2**31 - 1) -> Callable[[str], int]:
             raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from {low} to {high}")
         return int(text)
 
+    least = "any whole number" if low == -(2**31) else f"{low} or more"
+    read.takes = f"{low} to {high}" if high < 2**31 - 1 else least  # type: ignore[attr-defined]
     return read
 
 

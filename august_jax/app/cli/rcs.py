@@ -59,6 +59,7 @@ def steps(within: Bounds) -> Callable[[str], tuple[float, float, float]]:
             raise argparse.ArgumentTypeError(f"{text!r}: the end is not above the beginning, e.g. -180:180:5")
         return low, high, step
 
+    read.takes = f"each end {within}"  # type: ignore[attr-defined]
     return read
 
 
@@ -68,6 +69,9 @@ def frequencies(text: str) -> tuple[float, ...]:
     if list(found) != sorted(set(found)):
         raise argparse.ArgumentTypeError(f"{text!r}: give each frequency once, the lowest first, e.g. 2.9,3,3.1")
     return found
+
+
+frequencies.takes = f"each {_GHZ}"  # type: ignore[attr-defined]
 
 
 def _run(args: argparse.Namespace) -> dict[str, Any]:
@@ -219,4 +223,4 @@ def _summary(values, elevation_deg) -> dict[str, float]:
     }
 
 
-COMMAND = Command("the radar cross-section of a craft", _arguments, _run)
+COMMAND = Command("the radar cross-section of a craft", _arguments, _run, out="august_rcs")

@@ -69,4 +69,4 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
     )
 
 
-COMMAND = Command("your own drone from a mesh file, at one pose", _arguments, _run)
+COMMAND = Command("your own drone from a mesh file, at one pose", _arguments, _run, out="august_reconstruct")

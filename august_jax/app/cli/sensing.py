@@ -82,12 +82,13 @@ def sensed(
     draw = partial(plotting.clouds, track, permittivity=config.target.permittivity, title=title)
     search, bound = None, None
     if args.search:
-        picture = out / f"{args.command}.png"
-        draw(picture)
-        note(f"a first picture, of the networks: {picture}; a search among known drones follows")
+        first = out / "first.png"
+        draw(first)
+        note(f"a first picture, what the networks find: {first}; a search among known drones follows")
         search, target = _searched(args, config, shot.airframe, track)
         note("working out the bound")
         bound = track_bound(track, target, config, args.snr)
+        first.unlink(missing_ok=True)  # the whole picture follows
     scores: dict[str, Any] = evaluation.score_track(track, config, shot.airframe.half_wheelbase_m, search=search)
     if bound is not None and bound["bound_m"] is not None:
         scores["bound"] = bound

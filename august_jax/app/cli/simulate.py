@@ -3,26 +3,39 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 from typing import Any
 
 from august_jax.app.cli.common import chosen_config, folder
+from august_jax.app.cli.dry import about, dry_run_argument, size, told_plan
 from august_jax.app.cli.messages import command_line, note, say
 from august_jax.app.cli.parser import Command, part, presets_help
+from august_jax.config import Config
 
 
 def _arguments(parser: argparse.ArgumentParser) -> None:
     parser.epilog = presets_help()
-    parser.add_argument("--shard", type=part, default=(1, 1), metavar="I/N", help="make the i-th of n parts alone")
+    parser.add_argument(
+        "--shard",
+        type=part,
+        default=(1, 1),
+        metavar="I/N",
+        help="make the i-th of n parts alone, 1 <= i <= n (default 1/1)",
+    )
     parser.add_argument(
         "--verify",
         action="store_true",
         help="read what is there, compare its check sums, and make damaged pieces again",
     )
 
+    dry_run_argument(parser)
+
 
 def _run(args: argparse.Namespace) -> dict[str, Any]:
     config = chosen_config(args)
     out = folder(args, f"august_data/{config.preset}", configured=True)
+    if args.dry_run:
+        return _plan(args, config, out)
     from august_jax.data import simulate
 
     manifest = simulate(config, out, part=args.shard, verify=args.verify, progress=note)
@@ -49,4 +62,19 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
     }
 
 
-COMMAND = Command("make a data set: flights, channels, clouds", _arguments, _run)
+def _plan(args: argparse.Namespace, config: Config, out: Path) -> dict[str, Any]:
+    from august_jax.app.plan import simulation
+
+    plan = simulation(config, out, args.shard)
+    lines = [
+        ("samples", f"{plan['rows_left']} of {plan['rows']} to make, {plan['rows_here']} are there"),
+        ("shards", f"{plan['shards_left']} of {config.data.shard_rows} samples, in {out}/"),
+        ("time", f"{about(plan['seconds'])} on two CPU cores, and up to {about(plan['factoring_seconds'])[6:]} before "
+                 "it where the drones are not factored yet"),
+        ("disk", f"{size(plan['disk_bytes'])}; {size(plan['free_bytes'])} are free"),
+        ("memory", f"about {size(plan['memory_bytes'])}"),
+    ]  # fmt: skip
+    return told_plan(args, plan, lines)
+
+
+COMMAND = Command("make a data set: flights, channels, clouds", _arguments, _run, out="august_data/PRESET")

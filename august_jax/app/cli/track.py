@@ -339,4 +339,6 @@ def _summary_table(rows: list[dict[str, Any]]) -> str:
     )
 
 
-COMMAND = Command("follow a flight slot by slot, by what explains its echoes or by the networks", _arguments, _run)
+COMMAND = Command(
+    "follow a flight slot by slot, by what explains its echoes or by the networks", _arguments, _run, out="august_track"
+)

@@ -13,7 +13,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from august_jax import config as configuration
+from august_jax.app.cli.clock import told_s
 from august_jax.app.cli.common import chosen_config, folder
+from august_jax.app.cli.dry import about, dry_run_argument, size, told_plan
 from august_jax.app.cli.messages import command_line, note, say
 from august_jax.app.cli.parser import Command, presets_help
 from august_jax.config import Config, ConfigError
@@ -39,13 +41,23 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
         help="what august simulate wrote (default: august_data/PRESET; with train.source=stream none is needed)",
     )
     parser.add_argument(
-        "--init", metavar="RUN", help="start from another run's weights, or from the shipped ones (--init shipped)"
+        "--init",
+        metavar="RUN",
+        help="start from another run's weights, or from the shipped ones (--init shipped; default: new ones)",
     )
+
+    dry_run_argument(parser)
 
 
 def _run(args: argparse.Namespace) -> dict[str, Any]:
     if args.target == "predictor":
+        if args.dry_run:
+            raise ConfigError(
+                "--dry-run: a predictor trains in about a minute; leave it out, or take --target networks"
+            )
         return _predictor(args)
+    if args.dry_run:
+        return _plan(args)
     make: Callable[[Config], tuple[Callable[[int], Batch], Dataset | Sample]]
     if (
         any(text.startswith("train.source=") for text in args.overrides)
@@ -78,6 +90,32 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
         f"next:  {command_line('evaluate', str(out), '--seed', '1')}",
     )
     return {"out": str(out), "metrics": last}
+
+
+def _plan(args: argparse.Namespace) -> dict[str, Any]:
+    """On the configuration of the data where they are there, else of the preset: what data are needed is said."""
+    from august_jax.app.plan import training
+
+    data, config = Path(args.data or f"august_data/{args.preset or 'laptop'}"), chosen_config(args)
+    if config.train.source == "stream":
+        needs = "none: made as training goes"
+    elif (data / "manifest.json").exists():
+        _, config = _stored(args)
+        needs = f"{data}/, which is there"
+    else:
+        make = command_line("simulate", "--preset", config.preset, "--out", str(data))
+        needs = f"{data}/, which is not there yet: {make}"
+    out = folder(args, f"august_runs/{config.preset}", configured=True)
+    note("compiling one step and timing a few, on a batch that is made up")
+    plan = training(config, out)
+    lines = [
+        ("data", needs),
+        ("steps", f"{plan['steps']} of {plan['batch']} samples, {plan['parameters'] / 1e6:.2f} million parameters"),
+        ("time", f"{about(plan['seconds'])} for the steps as timed here, {told_s(plan['compile_seconds'])} to compile"),
+        ("disk", f"{size(plan['disk_bytes'])} in {out}/; {size(plan['free_bytes'])} are free"),
+        ("memory", f"{size(plan['memory_bytes'])} for a step; {size(plan['available_bytes'])} are free"),
+    ]
+    return told_plan(args, plan, lines)
 
 
 def _predictor(args: argparse.Namespace) -> dict[str, Any]:
@@ -166,4 +204,6 @@ def _streamed(config: Config) -> tuple[StreamedBatches, Sample]:
     return made
 
 
-COMMAND = Command("train the networks on a data set or a stream, or a predictor", _arguments, _run)
+COMMAND = Command(
+    "train the networks on a data set or a stream, or a predictor", _arguments, _run, out="august_runs/PRESET"
+)

@@ -1,0 +1,209 @@
+"""What a command would do, and what that takes: ``--dry-run`` of simulate, train and evaluate.
+
+Sizes are counted. Memory of training is asked of the compiled program, and its time of steps that are made here, on a
+batch that is made up. Times of simulation and of a search go by rates that were measured on two quiet CPU cores
+(docs/results.md) and by how much work a sample is, and may be off by two on another machine.
+"""
+
+from __future__ import annotations
+
+import shutil
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from august_jax.app.machine import memory
+from august_jax.config import Config
+
+Plan = Mapping[str, Any]
+"""Names of what was found -> plain values; None where nothing is known."""
+
+_CHANNELS_PER_S = 104.0
+"""Samples a second of the preset laptop: one tone, 64 antennas, by factored bodies."""
+_BY_TABLE = 10.0
+"""How many times as many by table."""
+_SEARCH_S = 5.0
+"""A slot's search among five craft, one tone."""
+_FACTORING_S = 40.0
+"""A body and tone of a thousand cells, where it is not kept yet."""
+_BASE_BYTES = 900 * 1024**2
+"""The program, its libraries and the bodies."""
+_TIMED = 3
+
+
+def simulation(config: Config, out: Path, part: tuple[int, int] = (1, 1)) -> Plan:
+    """Of ``august simulate``.
+
+    Returns:
+        ``rows`` of the whole set, ``rows_here`` that are there already, ``rows_left`` of this part, ``shards_left``,
+        ``disk_bytes``, ``free_bytes``, ``memory_bytes``, ``seconds`` (None for a solver without a known rate) and
+        ``factoring_seconds`` at most.
+    """
+    from august_jax.data import bytes_of, read_manifest
+    from august_jax.data.shards import shard_name
+
+    count, size = config.data.count, config.data.shard_rows
+    there = read_manifest(out)["shards"] if (out / "manifest.json").exists() else {}
+    numbers = [number for number in range(-(-count // size)) if number % part[1] == part[0] - 1]
+    left = {number: min(size, count - number * size) for number in numbers if shard_name(number) not in there}
+    rows = sum(left.values())
+    rate = _rate(config)
+    return {
+        "rows": count,
+        "rows_here": sum(high - low for low, high in there.values()),
+        "rows_left": rows,
+        "shards_left": len(left),
+        "disk_bytes": bytes_of(config, rows),
+        "free_bytes": shutil.disk_usage(_existing(out)).free,
+        # a shard is gathered in pieces and put together before it is written
+        "memory_bytes": _BASE_BYTES + 2 * bytes_of(config, min(size, max(rows, 1))),
+        "seconds": None if rate is None else rows / rate,
+        "factoring_seconds": _factoring_s(config),
+    }
+
+
+def training(config: Config, out: Path) -> Plan:
+    """Of ``august train``: one step is compiled, and a few are made on a batch that is made up.
+
+    Returns:
+        ``steps``, ``parameters``, ``compile_seconds``, ``seconds`` (None where the batch does not fit the memory),
+        ``memory_bytes`` of the compiled step, ``available_bytes`` (None where nobody tells), ``batch``, ``batch_fits``
+        (the largest that is expected to fit, where this one does not), ``disk_bytes`` of weights and checkpoints, and
+        ``free_bytes``.
+    """
+    import jax
+
+    from august_jax.training.step import compiled_step, initial_state
+
+    settings = config.train
+    layout, state = initial_state(config)
+    batch = _made_up_batch(config)
+    began = time.perf_counter()
+    program = compiled_step.lower(layout.loss, settings, state, batch).compile()
+    compile_s = time.perf_counter() - began
+    sizes = program.memory_analysis()
+    needed = None
+    if sizes is not None:
+        needed = int(sizes.argument_size_in_bytes + sizes.output_size_in_bytes + sizes.temp_size_in_bytes)
+        needed -= int(sizes.alias_size_in_bytes)
+    available = _available()
+    fits = needed is None or available is None or needed < 0.9 * available
+    seconds, most = None, None
+    if fits:
+        state, numbers = program(state, batch)
+        jax.block_until_ready(numbers)
+        began = time.perf_counter()
+        for _ in range(_TIMED):
+            state, numbers = program(state, batch)
+        jax.block_until_ready(numbers)
+        seconds = settings.steps * (time.perf_counter() - began) / _TIMED
+    elif needed is not None and available is not None:  # what a step holds grows with the batch
+        most = max(int(settings.batch * 0.9 * available / needed), 1)
+    parameters = int(state.params.size)
+    return {
+        "steps": settings.steps,
+        "batch": settings.batch,
+        "parameters": parameters,
+        "compile_seconds": compile_s,
+        "seconds": seconds,
+        "memory_bytes": needed,
+        "available_bytes": available,
+        "batch_fits": most,
+        # weights; two checkpoints of the parameters, their average and both of Adam's moments
+        "disk_bytes": 4 * parameters * (1 + 2 * 4),
+        "free_bytes": shutil.disk_usage(_existing(out)).free,
+    }
+
+
+def evaluation(config: Config, networks: int, schemes: list[str] | None) -> Plan:
+    """Of ``august evaluate``.
+
+    Args:
+        config: of the samples.
+        networks: how many are compared.
+        schemes: that are asked; None asks all.
+
+    Returns:
+        ``samples``, ``snr_db``, ``asked`` (schemes), ``searched`` slots in all, ``seconds`` at least (None for a solver
+        without a known rate), ``search_seconds``, ``factoring_seconds`` at most, ``memory_bytes``.
+    """
+    from august_jax.data import bytes_of
+    from august_jax.schemes import SCHEMES
+
+    asked = [name for name in SCHEMES if schemes is None or name in schemes]
+    evaluate, levels = config.evaluate, len(config.evaluate.snr_db)
+    slow = [name for name in asked if SCHEMES[name].slow]
+    searched = len(slow) * levels * min(evaluate.searched, evaluate.count)
+    rate = _rate(config)
+    tones = len(config.array.frequencies_hz)
+    return {
+        "samples": evaluate.count,
+        "snr_db": list(evaluate.snr_db),
+        "asked": asked,
+        "networks": networks,
+        "searched": searched,
+        "seconds": None if rate is None else evaluate.count / rate,
+        "search_seconds": searched * _SEARCH_S * len(config.target.airframes) / 5.0 * tones,
+        "factoring_seconds": _factoring_s(config),
+        "memory_bytes": _BASE_BYTES + 4 * bytes_of(config, evaluate.count),
+    }
+
+
+def _rate(config: Config) -> float | None:
+    """Samples a second."""
+    work = len(config.array.frequencies_hz) * config.array.count / 64.0
+    if config.data.solver not in ("mom", "table"):
+        return None
+    return _CHANNELS_PER_S / work * (_BY_TABLE if config.data.solver == "table" else 1.0)
+
+
+def _factoring_s(config: Config) -> float:
+    each = _FACTORING_S * len(config.array.frequencies_hz) * (2.0 if config.data.solver == "table" else 1.0)
+    return each * len(config.target.airframes)
+
+
+def _made_up_batch(config: Config) -> Any:
+    """A batch of the right shapes whose echoes are noise: steps take as long as on any other."""
+    import jax
+    import jax.numpy as jnp
+
+    from august_jax.data import Sample, observed_anew
+
+    rng, rows, array = np.random.default_rng(0), config.train.batch, config.array
+    low, high = np.array(config.flight.box_m).T
+    triangle = array.count * (array.count + 1) // 2
+    shape = (rows, len(array.frequencies_hz), triangle)
+    none = np.zeros(rows, np.int32)
+    samples = Sample(
+        position=rng.uniform(low, high, (rows, 3)).astype(np.float32),
+        rotation=np.broadcast_to(np.eye(3, dtype=np.float32), (rows, 3, 3)),
+        permittivity=np.full(rows, np.mean(config.target.permittivity), np.float32),
+        conductivity=np.full(rows, np.mean(config.target.conductivity_s_m), np.float32),
+        airframe=none,
+        flight=none,
+        slot=none,
+        points=(0.1 * rng.normal(size=(rows, config.target.points, 3))).astype(np.float32),
+        true_channel=(1e-4 * (rng.normal(size=shape) + 1j * rng.normal(size=shape))).astype(np.complex64),
+    )
+    batch = observed_anew(jax.random.key(0), samples.each(jnp.asarray), config)
+    if config.model.scheme == "refchannel":
+        batch = batch._replace(reference_channel=batch.heard)
+    return batch
+
+
+def _available() -> int | None:
+    """Bytes that a compiled program may have on the device that computes."""
+    import jax
+
+    told = jax.devices()[0].memory_stats()
+    if told and "bytes_limit" in told:
+        return int(told["bytes_limit"] - told.get("bytes_in_use", 0))
+    found = memory()
+    return found.free if found else None
+
+
+def _existing(out: Path) -> Path:
+    return next(path for path in (out, *out.absolute().parents) if path.is_dir())

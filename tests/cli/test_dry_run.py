@@ -1,0 +1,77 @@
+"""A dry run says what a command would do and take, and writes nothing."""
+
+import json
+
+import pytest
+
+from august_jax.app import cli, plan
+from august_jax.app.cli.dry import short_of
+from august_jax.config import override, preset
+from august_jax.data import bytes_of
+
+
+def planned(capsys, *words):
+    status = cli.main([*words, "--dry-run", "--json"])
+    told = capsys.readouterr()
+    assert status == 0, told.err
+    found = json.loads(told.out)
+    assert found["dry_run"] and found["short_of"] is None
+    return found, told.err
+
+
+def test_a_data_set(capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    config = preset("smoke")
+    found, err = planned(capsys, "simulate", "--preset", "smoke", "--shard", "2/2")
+    assert (found["rows"], found["rows_here"], found["rows_left"], found["shards_left"]) == (64, 0, 32, 1)
+    assert found["disk_bytes"] == bytes_of(config, 32) and found["seconds"] > 0.0
+    assert err.splitlines()[-1] == "next:  august simulate --preset smoke --shard 2/2"
+    assert not list(tmp_path.iterdir())
+
+
+def test_by_table_and_of_fewer_antennas_it_is_faster():
+    laptop = preset("laptop")
+    seconds = [
+        plan.simulation(override(laptop, changes), plan.Path("nowhere"))["seconds"]
+        for changes in ([], ["data.solver=table"], ["array.nx=8"], ["data.count=100000"])
+    ]
+    assert seconds == pytest.approx([200_000 / 104, 20_000 / 104, 100_000 / 104, 100_000 / 104])
+
+
+def test_training_is_timed_and_sized_here(capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    found, err = planned(capsys, "train", "--preset", "smoke")
+    assert "august simulate --preset smoke --out august_data/smoke" in err
+    assert found["steps"] == 20 and found["batch"] == 16 and found["seconds"] > 0.0
+    # parameters, their average and Adam's two moments at the least
+    assert found["memory_bytes"] > 4 * 4 * found["parameters"] > 0
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_batch_that_does_not_fit_is_answered_with_one_that_does(monkeypatch, tmp_path):
+    small = override(preset("smoke"), ["train.steps=1"])
+    needed = plan.training(small, tmp_path)["memory_bytes"]
+    monkeypatch.setattr(plan, "_available", lambda: needed // 2)
+    found = plan.training(small, tmp_path)
+    assert found["seconds"] is None and 1 <= found["batch_fits"] < 16
+    assert f"train.batch={found['batch_fits']} fits" in short_of(found)
+
+
+def test_an_evaluation(capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    found, err = planned(capsys, "evaluate", "evaluate.count=50", "evaluate.searched=4", "evaluate.snr_db=[10,20]")
+    assert (found["samples"], found["searched"], found["snr_db"]) == (50, 8, [10.0, 20.0])
+    assert "matched_field" in found["asked"] and "evaluate.searched=0" in err
+    found, _ = planned(capsys, "evaluate", "--schemes", "august,prediction")
+    assert found["searched"] == 0 and found["search_seconds"] == 0.0
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_predictor_is_not_planned(capsys):
+    assert cli.main(["train", "--target", "predictor", "--dry-run"]) == 2
+    assert "a minute" in capsys.readouterr().err
+
+
+def test_too_small_a_disk_is_said():
+    assert "make room" in short_of({"disk_bytes": 10**10, "free_bytes": 10**9})
+    assert short_of({"disk_bytes": 10**8, "free_bytes": 10**9, "batch_fits": None}) is None
