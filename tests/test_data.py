@@ -1,6 +1,7 @@
 """Samples from a key to a batch: independence of the order, the disk format, interruptions, splits, observing anew."""
 
 import json
+import os
 import shutil
 from dataclasses import replace
 
@@ -11,6 +12,8 @@ import pytest
 
 from august_jax import data
 from august_jax.config import override, preset
+from august_jax.data.shards import _sharing
+from august_jax.files import Occupied, read_json, write_json
 from august_jax.physics import PlanarArray, contrast, sensing_channel
 from august_jax.signal import Coefficients, Subspace, project
 
@@ -159,6 +162,54 @@ def test_shards_survive_a_kill_and_parts_make_the_whole(folder, tmp_path):
     np.testing.assert_array_equal(data.Dataset(tmp_path).read(places).observed.snr_db, whole["snr_db"])
 
 
+def flip(path, place=-5):
+    """One bit of a file."""
+    content = bytearray(path.read_bytes())
+    content[place] ^= 0x10
+    path.write_bytes(content)
+
+
+@pytest.mark.parametrize("column", ["true_channel", "points", "flight", "row_sums"])
+def test_one_bit_of_the_data_is_noticed_when_it_is_read_and_made_again(folder, tmp_path, column):
+    shutil.copytree(folder, tmp_path / "copy")
+    flip(tmp_path / "copy" / "shard-00001" / f"{column}.npy")
+    with pytest.raises(data.DataError, match=r"shard-00001: \w+.npy is damaged.*verify=True"):
+        data.Dataset(tmp_path / "copy").read(np.arange(48))
+    assert data.simulate(CONFIG, tmp_path / "copy", verify=True)["written"] == 20
+    data.Dataset(tmp_path / "copy").read(np.arange(48))
+
+
+def test_one_bit_of_a_description_is_noticed_and_mended(folder, tmp_path):
+    shutil.copytree(folder, tmp_path / "copy")
+    manifest, meta = tmp_path / "copy" / "manifest.json", tmp_path / "copy" / "shard-00001" / "meta.json"
+    flip(manifest, manifest.read_bytes().index(b"wanted") + 9)
+    with pytest.raises(data.DataError, match="manifest.json: is damaged; remove it and run"):
+        data.Dataset(tmp_path / "copy")
+    manifest.unlink()
+    flip(meta, meta.read_bytes().index(b"digest") + 12)
+    assert data.simulate(CONFIG, tmp_path / "copy")["written"] == 20
+    assert data.Dataset(tmp_path / "copy").count == 48
+
+
+def test_shards_of_other_data_are_not_overwritten_where_the_manifest_is_gone(folder, tmp_path):
+    shutil.copytree(folder, tmp_path / "copy")
+    (tmp_path / "copy" / "manifest.json").unlink()
+    with pytest.raises(data.DataError, match="another configuration"):
+        data.simulate(override(CONFIG, ["data.seed=5"]), tmp_path / "copy")
+    assert data.simulate(CONFIG, tmp_path / "copy")["written"] == 0
+
+
+@pytest.mark.parametrize("part, free", [((1, 1), False), ((1, 2), False), ((2, 4), True), ((3, 4), False)])
+def test_who_makes_other_shards_may_work_in_the_same_folder(tmp_path, part, free):
+    with _sharing(tmp_path, (1, 2)):
+        if free:
+            with _sharing(tmp_path, part):
+                return
+        with pytest.raises(Occupied, match=f"is being written by process {os.getpid()}"), _sharing(tmp_path, part):
+            raise AssertionError
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize("text", ["[]", '{"format": 4}', "{", "\xff"])
 def test_a_damaged_manifest_is_named_and_made_again(folder, tmp_path, text):
     shutil.copytree(folder, tmp_path / "copy")
@@ -220,7 +271,7 @@ def test_a_manifest_whose_list_is_old_does_not_hide_a_shard(folder, tmp_path):
     """Two parts that end together each list what they saw; a killed one lists what it began with."""
     shutil.copytree(folder, tmp_path / "copy")
     path = tmp_path / "copy" / "manifest.json"
-    path.write_text(json.dumps(json.loads(path.read_text()) | {"rows": 20, "shards": {"shard-00001": [20, 40]}}))
+    write_json(path, read_json(path) | {"rows": 20, "shards": {"shard-00001": [20, 40]}})
     assert data.Dataset(tmp_path / "copy").count == 48
 
 

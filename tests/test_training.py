@@ -155,7 +155,7 @@ def test_weights_without_a_checkpoint_are_set_aside_and_never_written_over(finis
     for _ in range(2):
         with pytest.raises(KeyboardInterrupt):
             train(CONFIG, next_batch, tmp_path, progress=lines.append, validate=killed)
-    assert "weights.npz of the run before is now weights.previous.npz" in lines[0]
+    assert "weights.npz of the run before is now weights.previous.npz" in "\n".join(lines)
     assert (tmp_path / "weights.previous.npz").read_bytes() == original
     assert (tmp_path / "metrics.previous.jsonl").read_text() == '{"step": 9}\n'
     assert (tmp_path / "config.previous.yaml").read_text() == "another: configuration\n"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import jax
 import numpy as np
@@ -16,7 +16,7 @@ from august_jax.data.fields import Batch, Observed, Sample
 from august_jax.data.generate import split_of
 from august_jax.data.observe import as_observed, batch_of
 from august_jax.data.reference import reference_channels
-from august_jax.data.shards import DataError, read_manifest, read_meta
+from august_jax.data.shards import ROW_SUMS, DataError, read_manifest, read_meta, row_sums
 from august_jax.data.simulator import Target, tables_of
 
 Split = Literal["train", "validation", "test"]
@@ -40,21 +40,22 @@ class Dataset:
         folder = Path(folder)
         manifest = read_manifest(folder)
         self.config = read(folder / "config.yaml")
+        self._folder = folder
         self._shards: list[dict[str, np.ndarray]] = []
+        self._sums: list[dict[str, np.ndarray]] = []
+        self._names = list(manifest["shards"])
         for name, (low, high) in manifest["shards"].items():
-            columns, damaged = {}, ""
-            for column in (read_meta(folder / name) or {"arrays": ()})["arrays"]:
-                try:
-                    columns[column] = np.load(folder / name / f"{column}.npy", mmap_mode="r", allow_pickle=False)
-                    whole = len(columns[column]) == high - low
-                except (OSError, ValueError, EOFError, TypeError):
-                    whole = False
-                damaged = damaged if whole else f"{column}.npy"
-            if damaged:
-                raise DataError(
-                    f"{folder / name}: {damaged} is damaged; simulate once more with verify=True, which makes it again"
-                )
+            meta = read_meta(folder / name) or {"arrays": {}}
+            columns = {
+                column: self._mapped(name, f"{column}.npy", (about.get("shape"), about.get("dtype")), high - low)
+                for column, about in meta["arrays"].items()
+            }
+            sums = {}
+            if "row_sums" in meta:
+                kept = self._mapped(name, ROW_SUMS, ([high - low, len(columns)], "uint32"), high - low)
+                sums = dict(zip(columns, kept.T, strict=True))
             self._shards.append(columns)
+            self._sums.append(sums)
         if manifest["rows"] < manifest["wanted"]:
             raise DataError(
                 f"folder: {folder} holds {manifest['rows']} of {manifest['wanted']} samples; run the `august "
@@ -62,7 +63,34 @@ class Dataset:
             )
         self._starts = np.cumsum([0, *(len(columns["flight"]) for columns in self._shards)])
         self.count = int(self._starts[-1])
-        self.flights = np.concatenate([columns["flight"] for columns in self._shards])
+        self.flights = np.concatenate(
+            [self._taken(number, "flight", np.arange(len(each["flight"]))) for number, each in enumerate(self._shards)]
+        )
+
+    def _mapped(self, shard: str, file: str, form: tuple[Any, Any], rows: int) -> np.ndarray:
+        """An array of a shard, as its description says it is."""
+        try:
+            array = np.load(self._folder / shard / file, mmap_mode="r", allow_pickle=False)
+            found = [list(array.shape), str(array.dtype)]
+            whole = len(array) == rows and array.flags.c_contiguous and found == list(form)
+        except (OSError, ValueError, EOFError, TypeError, SyntaxError):
+            whole = False
+        if not whole:
+            raise self._damaged(shard, file)
+        return array
+
+    def _taken(self, number: int, column: str, rows: Int[np.ndarray, " n"]) -> np.ndarray:
+        """Rows of a column of a shard, compared with their check sums."""
+        taken = self._shards[number][column][rows]
+        sums = self._sums[number].get(column)
+        if sums is not None and not np.array_equal(row_sums(taken), sums[rows]):
+            raise self._damaged(self._names[number], f"{column}.npy")
+        return taken
+
+    def _damaged(self, shard: str, file: str) -> DataError:
+        return DataError(
+            f"{self._folder / shard}: {file} is damaged; simulate once more with verify=True, which makes it again"
+        )
 
     def rows(self, split: Split) -> Int[np.ndarray, " n"]:
         """Places of the rows of ``train``, ``validation`` or ``test``."""
@@ -77,6 +105,7 @@ class Dataset:
 
         Raises:
             ValueError: places that are no row numbers, or out of range.
+            DataError: a row is damaged.
         """
         places = np.asarray(places)
         if places.ndim != 1 or not (np.issubdtype(places.dtype, np.integer)):
@@ -92,12 +121,11 @@ class Dataset:
         shard = np.searchsorted(self._starts, places, side="right") - 1
         result: dict[str, np.ndarray] = {}
         names = [name for name in self._shards[0] if observed or name not in Observed._fields]
-        for number in np.unique(shard):
+        for number in np.unique(shard).tolist():
             mine = np.flatnonzero(shard == number)
-            stored = self._shards[number]
             for name in names:
-                store = result.setdefault(name, np.empty((len(places), *stored[name].shape[1:]), stored[name].dtype))
-                store[mine] = stored[name][places[mine] - self._starts[number]]
+                taken = self._taken(number, name, places[mine] - self._starts[number])
+                result.setdefault(name, np.empty((len(places), *taken.shape[1:]), taken.dtype))[mine] = taken
         return Sample.of_columns(result)
 
 

@@ -4,34 +4,49 @@
     DIR/config.yaml              the configuration
     DIR/shard-00003/meta.json    row range, sha256 and shape of each array, configuration digest
     DIR/shard-00003/true_channel.npy    one array a column of :class:`august_jax.data.fields.Sample`
+    DIR/shard-00003/row_sums.npy    CRC-32 of each row of each column, which readers compare
 
 A shard is written aside, flushed to the disk and renamed: it is whole or absent, so that a killed run continues
 with the first shard that is missing. What is there is told by the shards themselves; the manifest's list of them is
-what its last writer saw.
+what its last writer saw. Several processes may work in one folder on parts of it that share no shard.
 """
 
 from __future__ import annotations
 
-import hashlib
-import json
-import os
+import math
+import re
 import shutil
 import time
-from collections.abc import Sequence
+import zlib
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import UInt32
 
 from august_jax import streams
 from august_jax.config import Config, data_digest, to_yaml
 from august_jax.config import digest as digest_of
 from august_jax.data.generate import generate
 from august_jax.data.simulator import Target, prepare_targets
-from august_jax.files import naming, rename, write_text
+from august_jax.files import (
+    DamagedFile,
+    occupant,
+    occupied,
+    occupying,
+    read_json,
+    replacing_folder,
+    sha256_of,
+    write_array,
+    write_json,
+    write_text,
+)
 from august_jax.progress import Progress, silent
 from august_jax.scene.airframes import mesh_path
 
+ROW_SUMS = "row_sums.npy"
 _PIECE = 2000  # rows generated between two progress lines
 _FORMAT = 4  # of the columns, their meaning and their streams; in the digest, so that formats never mix
 
@@ -64,6 +79,7 @@ def simulate(
     Raises:
         DataError: the folder holds data of another configuration, or more than are asked for, or its disk has no room
             for them.
+        Occupied: another process makes any of these shards.
         ValueError: ``part`` is not 1 <= i <= n.
     """
     index, parts = part
@@ -71,59 +87,94 @@ def simulate(
         raise ValueError(f"part: got {index}/{parts}; give i/n with 1 <= i <= n, e.g. 2/4")
     folder = Path(folder)
     digest = identity(config)
+    count, size = config.data.count, config.data.shard_rows
+    spans = {number: (start, min(start + size, count)) for number, start in enumerate(range(0, count, size))}
+    began = time.perf_counter()
+    with _sharing(folder, part):
+        _check_same(folder, config, digest)
+        missing = [
+            number
+            for number in spans
+            if number % parts == index - 1 and not _complete(folder / shard_name(number), spans[number], digest, verify)
+        ]
+        written, total = 0, sum(spans[number][1] - spans[number][0] for number in missing)
+        _check_room(folder, config, total, progress)
+        targets = prepare_targets(config, progress) if missing else []
+        errors = _table_errors(config, targets)
+        with occupying(folder, wait=True):  # of two parts that begin at once, each sees what the other is of
+            _check_same(folder, config, digest)
+            _write_manifest(folder, config, digest, errors)
+        for number in missing:
+            low, high = spans[number]
+            pieces = []
+            for start in range(low, high, _PIECE):
+                rows = np.arange(start, min(start + _PIECE, high))
+                pieces.append(generate(config, rows, targets))
+                written += len(rows)
+                elapsed = time.perf_counter() - began
+                left = elapsed / written * (total - written)
+                progress(f"{written}/{total} samples  {written / elapsed:.1f} samples/s  {left:.0f} s left")
+            columns = [piece.columns() for piece in pieces]
+            whole = {name: np.concatenate([each[name] for each in columns]) for name in columns[0]}
+            _write_shard(folder, number, whole, (low, high), digest)
+            _write_manifest(folder, config, digest, errors)
+        manifest = read_manifest(folder)
+    seconds = time.perf_counter() - began
+    return manifest | {"written": written, "seconds": seconds, "samples_per_s": written / max(seconds, 1e-9)}
+
+
+@contextmanager
+def _sharing(folder: Path, part: tuple[int, int]) -> Iterator[None]:
+    """Hold a part of the folder's shards; refused where another process makes any of them.
+
+    Parts i of n and j of m share a shard where i and j agree modulo the greatest divisor of n and m.
+    """
+    index, parts = part
+    own = f".lock-{index}-of-{parts}"
+
+    def check() -> None:
+        for lock in folder.glob(".lock-*-of-*"):
+            if lock.name == own or not (numbers := re.fullmatch(r"\.lock-(\d+)-of-(\d+)", lock.name)):
+                continue
+            other, others = map(int, numbers.groups())
+            if (other - index) % math.gcd(others, parts) == 0 and (who := occupant(lock)):
+                raise occupied(folder, f"{who} (part {other}/{others})")
+
+    with occupying(folder, own, check=check):
+        yield
+
+
+def _check_same(folder: Path, config: Config, digest: str) -> None:
+    """Refuse a folder of other data, or of more: nothing that somebody may want is written over."""
+    other = ""
     if (folder / "manifest.json").exists():
         found = read_manifest(folder)
         if found["shards"] and found["digest"] != digest:
-            raise DataError(
-                f"folder: {folder} holds data of another configuration, shard size, mesh file or version (digest "
-                f"{found['digest']}, wanted {digest}); choose another folder, or remove it"
-            )
+            other = found["digest"]
         most = max((high for _, high in found["shards"].values()), default=0)
-        if most > config.data.count:
+        if not other and most > config.data.count:
             raise DataError(
                 f"data.count: {config.data.count} is less than the {most} samples that {folder} holds; ask "
                 "for at least as many, or choose another folder"
             )
-    count, size = config.data.count, config.data.shard_rows
-    spans = {number: (start, min(start + size, count)) for number, start in enumerate(range(0, count, size))}
-    missing = [
-        number
-        for number in spans
-        if number % parts == index - 1 and not _complete(folder / shard_name(number), spans[number], digest, verify)
-    ]
-    began = time.perf_counter()
-    written, total = 0, sum(spans[number][1] - spans[number][0] for number in missing)
-    _check_room(folder, config, total, progress)
-    targets = prepare_targets(config, progress) if missing else []
-    folder.mkdir(parents=True, exist_ok=True)
-    errors = _table_errors(config, targets)
-    _write_manifest(folder, config, digest, errors)
-    for number in missing:
-        low, high = spans[number]
-        pieces = []
-        for start in range(low, high, _PIECE):
-            rows = np.arange(start, min(start + _PIECE, high))
-            pieces.append(generate(config, rows, targets))
-            written += len(rows)
-            elapsed = time.perf_counter() - began
-            left = elapsed / written * (total - written)
-            progress(f"{written}/{total} samples  {written / elapsed:.1f} samples/s  {left:.0f} s left")
-        columns = [piece.columns() for piece in pieces]
-        whole = {name: np.concatenate([each[name] for each in columns]) for name in columns[0]}
-        _write_shard(folder, number, whole, (low, high), digest)
-        _write_manifest(folder, config, digest, errors)
-    manifest = read_manifest(folder)
-    seconds = time.perf_counter() - began
-    return manifest | {"written": written, "seconds": seconds, "samples_per_s": written / max(seconds, 1e-9)}
+    for shard in folder.glob("shard-*"):  # whatever became of the manifest
+        meta = read_meta(shard)
+        if meta and meta["digest"] != digest:
+            other = other or meta["digest"]
+    if other:
+        raise DataError(
+            f"folder: {folder} holds data of another configuration, shard size, mesh file or version (digest "
+            f"{other}, wanted {digest}); choose another folder, or remove it"
+        )
 
 
 def bytes_of(config: Config, rows: int | None = None) -> int:
     """Bytes that so many samples take on the disk; None takes ``data.count``."""
     array, points = config.array, config.target.points
     triangles = 8 * len(array.frequencies_hz) * (array.count * (array.count + 1) // 2)
-    row = 4 * (3 + 9 + 2 + 3 + 3 * points) + triangles
+    row = 4 * (3 + 9 + 2 + 3 + 3 * points) + triangles + 4 * 9  # the last are check sums, one a column
     if config.data.observed:
-        row += 4 * (3 + 3) + triangles
+        row += 4 * (3 + 3) + triangles + 4 * 5
     return row * (config.data.count if rows is None else rows)
 
 
@@ -150,7 +201,7 @@ def _size(count: int) -> str:
 def identity(config: Config) -> str:
     """Digest of all that the stored samples depend on: configuration, format, shard size, content of mesh files."""
     files = {name: mesh_path(name) for name in config.target.airframes}
-    meshes = {name: _sha256(path) for name, path in files.items() if path is not None}
+    meshes = {name: sha256_of(path) for name, path in files.items() if path is not None}
     return digest_of(data_digest(config), _FORMAT, config.data.shard_rows, meshes)
 
 
@@ -163,12 +214,12 @@ def read_manifest(folder: str | Path) -> dict[str, Any]:
     """The manifest of a data folder, its shards and rows counted anew; :class:`DataError` where there is none."""
     path = Path(folder) / "manifest.json"
     try:
-        manifest = json.loads(path.read_text())
+        manifest = read_json(path)
     except FileNotFoundError:
         raise DataError(f"folder: {folder} holds no manifest.json; make data there with `august simulate`") from None
-    except ValueError:
-        manifest = None
-    if not isinstance(manifest, dict) or not {"format", "digest", "wanted"} <= set(manifest):
+    except DamagedFile:
+        manifest = {}
+    if not {"format", "digest", "wanted"} <= set(manifest):
         raise DataError(f"{path}: is damaged; remove it and run `august simulate` again, which keeps the shards")
     if manifest["format"] != _FORMAT:
         raise DataError(
@@ -181,10 +232,10 @@ def read_manifest(folder: str | Path) -> dict[str, Any]:
 def read_meta(shard: Path) -> dict[str, Any] | None:
     """What a shard says of itself: ``rows``, ``digest`` and ``arrays``; None where that is missing or damaged."""
     try:
-        meta = json.loads((shard / "meta.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        meta = read_json(shard / "meta.json")
+    except (OSError, DamagedFile):
         return None
-    if not (isinstance(meta, dict) and isinstance(meta.get("digest"), str) and isinstance(meta.get("arrays"), dict)):
+    if not (isinstance(meta.get("digest"), str) and isinstance(meta.get("arrays"), dict)):
         return None
     rows = meta.get("rows")
     ordered = isinstance(rows, list) and len(rows) == 2 and all(type(end) is int for end in rows) and rows[0] < rows[1]
@@ -197,29 +248,34 @@ def _complete(shard: Path, span: tuple[int, int], digest: str, verify: bool) -> 
     if not meta or meta["digest"] != digest or meta["rows"] != list(span):
         return False
     paths = {shard / f"{name}.npy": array["sha256"] for name, array in meta["arrays"].items()}
-    return all(path.exists() and (not verify or _sha256(path) == wanted) for path, wanted in paths.items())
+    if "row_sums" in meta:
+        paths[shard / ROW_SUMS] = meta["row_sums"]
+    return all(path.exists() and (not verify or sha256_of(path) == wanted) for path, wanted in paths.items())
+
+
+def row_sums(value: np.ndarray) -> UInt32[np.ndarray, " rows"]:
+    """The CRC-32 of each row of an array (rows, ...)."""
+    rows = np.ascontiguousarray(value).reshape(len(value), -1).view(np.uint8)
+    return np.array([zlib.crc32(row) for row in rows], np.uint32)
 
 
 def _write_shard(folder: Path, number: int, columns: dict[str, np.ndarray], span: tuple[int, int], digest: str) -> None:
-    final, aside = folder / shard_name(number), folder / f".{shard_name(number)}.part"
-    shutil.rmtree(aside, ignore_errors=True)
-    aside.mkdir()
-    arrays = {}
-    for name, value in columns.items():
-        path = aside / f"{name}.npy"
-        with naming(path), path.open("wb") as file:
-            np.save(file, value)
-            file.flush()
-            os.fsync(file.fileno())
-        arrays[name] = {"shape": list(value.shape), "dtype": str(value.dtype), "sha256": _sha256(path)}
-    write_text(aside / "meta.json", json.dumps({"rows": list(span), "digest": digest, "arrays": arrays}, indent=1))
-    shutil.rmtree(final, ignore_errors=True)
-    rename(aside, final)
+    with replacing_folder(folder / shard_name(number)) as aside:
+        arrays = {
+            name: {
+                "shape": list(value.shape),
+                "dtype": str(value.dtype),
+                "sha256": write_array(aside / f"{name}.npy", value),
+            }
+            for name, value in columns.items()
+        }
+        sums = write_array(aside / ROW_SUMS, np.stack([row_sums(value) for value in columns.values()], axis=1))
+        write_json(aside / "meta.json", {"rows": list(span), "digest": digest, "arrays": arrays, "row_sums": sums})
 
 
 def _write_manifest(folder: Path, config: Config, digest: str, errors: dict[str, Any]) -> None:
     if not errors and (folder / "manifest.json").exists():  # nothing was missing
-        errors = json.loads((folder / "manifest.json").read_text()).get("table_errors", {})
+        errors = read_json(folder / "manifest.json").get("table_errors", {})
     manifest = {
         "format": _FORMAT,
         "digest": digest,
@@ -230,7 +286,7 @@ def _write_manifest(folder: Path, config: Config, digest: str, errors: dict[str,
         **_present(folder, digest),
     }
     write_text(folder / "config.yaml", to_yaml(config))
-    write_text(folder / "manifest.json", json.dumps(manifest, indent=1))
+    write_json(folder / "manifest.json", manifest)
 
 
 def _table_errors(config: Config, targets: Sequence[Target]) -> dict[str, Any]:
@@ -253,8 +309,3 @@ def _present(folder: Path, digest: str) -> dict[str, Any]:
         if meta and meta["digest"] == digest:
             shards[shard.name] = meta["rows"]
     return {"rows": sum(high - low for low, high in shards.values()), "shards": shards}
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -2,13 +2,16 @@
 
 Both store arrays under dotted names, such as ``denoiser.layers.0.gate.kernel``, so that what is read is
 compared with what is wanted leaf by leaf. A run killed while it saves leaves a temporary folder that the next start
-removes; finished checkpoints are never touched by a save in progress.
+removes; finished checkpoints are never touched by a save in progress. Beside the arrays a checkpoint holds their
+SHA-256: what the disk has changed since is not gone on with.
 """
 
 from __future__ import annotations
 
+import hashlib
 import logging
-from collections.abc import Iterator
+import shutil
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -19,12 +22,16 @@ import numpy as np
 from flax import nnx
 
 from august_jax.config import Config
-from august_jax.files import replacing
+from august_jax.files import naming, replacing
 from august_jax.models import State, create
 from august_jax.models.weights import compare, flatten, read_weights
+from august_jax.progress import Progress
 from august_jax.training.step import ParameterLayout, TrainState
 
 _KEEP = 2
+_TALKERS = ("asyncio", "absl")
+_SUM = "sha256"
+"""Of all other arrays, as an array beside them."""
 
 
 class Checkpoints:
@@ -56,7 +63,26 @@ class Checkpoints:
 
     def save(self, state: TrainState) -> None:
         """Write ``state`` under its own step number, and wait until it is on disk."""
-        self._checkpointer.save(int(state.step), flatten(_plain(state)), force=True, overwrite=True)
+        arrays: dict[str, Any] = flatten(_plain(state))
+        with naming(str(self._checkpointer.directory)):
+            self._checkpointer.save(int(state.step), arrays | {_SUM: _sum_of(arrays)}, force=True, overwrite=True)
+
+    def check_room(self, state: TrainState, progress: Progress) -> None:
+        """Say what the checkpoints of such a state will take, and refuse before the work where the disk has no room.
+
+        Raises:
+            ValueError: too little is free.
+        """
+        folder = Path(str(self._checkpointer.directory))
+        size = sum(int(np.prod(leaf.shape)) * leaf.dtype.itemsize for leaf in flatten(_plain(state)).values())
+        kept = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
+        wanted, free = (_KEEP + 1) * size, shutil.disk_usage(folder).free  # one more while it is written
+        progress(f"checkpoints take up to {wanted / 1e6:.0f} MB in {folder}; {free / 1e9:.1f} GB are free there")
+        if wanted > free + kept:
+            raise ValueError(
+                f"folder: checkpoints take up to {wanted / 1e6:.0f} MB, but {folder} has {free / 1e6:.0f} MB free; "
+                "make room, or choose another folder"
+            )
 
     def restore(self, like: TrainState) -> TrainState:
         """The last saved state, with the structure, types and placement of ``like``.
@@ -72,28 +98,36 @@ class Checkpoints:
             metadata = self._checkpointer.metadata(self.latest).metadata
             stored = metadata["state"] if "state" in metadata else metadata
             shapes = {name: leaf.shape for name, leaf in stored.items()}
+        summed = shapes.pop(_SUM, None) is not None  # those of older versions are not
         compare(shapes, wanted, self._checkpointer.directory)
-        abstract = {
+        abstract: dict[str, Any] = {
             name: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=leaf.sharding) for name, leaf in wanted.items()
         }
+        if summed:
+            abstract[_SUM] = _sum_of({})
         with self._readable():
             arrays = self._checkpointer.load(self.latest, abstract)
+            if summed and not np.array_equal(arrays.pop(_SUM), _sum_of({name: arrays[name] for name in wanted})):
+                raise ValueError("its arrays are not those that were saved")
         state = jax.tree.unflatten(jax.tree.structure(plain), [arrays[name] for name in wanted])
         return state._replace(key=jax.random.wrap_key_data(state.key, impl=jax.random.key_impl(like.key)))
 
     @contextmanager
     def _readable(self) -> Iterator[None]:
         """Whatever goes wrong within is told as a damaged checkpoint; orbax raises many kinds of errors for one."""
+        levels = {name: logging.getLogger(name).level for name in _TALKERS}
+        for name in levels:  # which report orbax's other readers one by one, some of them later
+            logging.getLogger(name).setLevel(logging.CRITICAL + 1)
         try:
             yield
         except Exception as error:
-            for name in ("asyncio", "absl"):  # which would report orbax's other readers one by one
-                logging.getLogger(name).setLevel(logging.CRITICAL)
             folder = Path(str(self._checkpointer.directory)) / str(self.latest)
             raise ValueError(
                 f"{folder}: the checkpoint cannot be read ({type(error).__name__}); remove that folder, "
                 "and the run continues from the one before, or from the start"
             ) from error
+        for name, level in levels.items():
+            logging.getLogger(name).setLevel(level)
 
 
 def save_weights(path: str | Path, state: State, *, half: bool = False) -> None:
@@ -153,6 +187,15 @@ def warm_start(layout: ParameterLayout, state: TrainState, path: str | Path) -> 
         np.concatenate([np.ravel(leaf if name in kept else stored[name]) for name, leaf in own.items()])
     )
     return state._replace(params=params, ema=jnp.copy(params)), kept
+
+
+def _sum_of(arrays: Mapping[str, Any]) -> np.ndarray:
+    """The SHA-256 (32,) of names, types, shapes and content."""
+    digest = hashlib.sha256()
+    for name, leaf in sorted(arrays.items()):
+        digest.update(f"{name} {leaf.dtype} {leaf.shape} ".encode())
+        digest.update(np.ascontiguousarray(leaf).data)
+    return np.frombuffer(digest.digest(), np.uint8)
 
 
 def _plain(state: TrainState) -> TrainState:

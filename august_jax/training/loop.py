@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import os
 import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -23,7 +24,7 @@ from flax import nnx
 from august_jax import config as configuration
 from august_jax import streams
 from august_jax.config import Config
-from august_jax.files import rename, write_text
+from august_jax.files import occupying, rename, write_text
 from august_jax.models import State
 from august_jax.progress import Progress, silent
 from august_jax.training.checkpoint import Checkpoints, save_weights, warm_start
@@ -77,6 +78,7 @@ def train(
         FileNotFoundError: no file ``weights``.
         ValueError: ``weights`` is damaged, holds numbers that are not finite or nothing that fits; or the folder holds
             a run of another configuration, of more steps, or with a damaged checkpoint.
+        Occupied: another process trains in that folder.
         FloatingPointError: the loss is not finite; names the step and the terms.
     """
     settings = config.train
@@ -84,8 +86,7 @@ def train(
     if weights is not None:  # before anything is written: it may not fit
         state, kept = warm_start(layout, state, weights)
     out = Path(out_dir)
-    out.mkdir(parents=True, exist_ok=True)
-    with Checkpoints(out / "checkpoints") as checkpoints, ThreadPoolExecutor(1) as pool:
+    with occupying(out), Checkpoints(out / "checkpoints") as checkpoints, ThreadPoolExecutor(1) as pool:
         start = 0
         if checkpoints.latest is not None:
             _check_same_run(config, out / "config.yaml")
@@ -105,6 +106,7 @@ def train(
                 f"starting from {weights}"
                 + (f", but for {len(kept)} arrays that it lacks, such as {kept[0]}" if kept else "")
             )
+        checkpoints.check_room(state, progress)
         metrics = out / "metrics.jsonl"
         if start == 0:
             _set_aside(out, weights_file, progress)
@@ -137,6 +139,8 @@ def train(
                     line |= validate(layout.graphdef, averaged, done)
             with metrics.open("a", encoding="utf-8") as file:
                 file.write(json.dumps({name: float(f"{value:.6g}") for name, value in line.items()}) + "\n")
+                file.flush()
+                os.fsync(file.fileno())
             progress(_told(line, settings.steps))
             if saving:
                 if draw is not None:
@@ -190,9 +194,10 @@ def _check_same_run(config: Config, path: Path) -> None:
 
 def _set_aside(out: Path, weights_file: str, progress: Progress) -> None:
     """Rename what a run without checkpoints left, to names that are free: it may be the only copy."""
-    names = [weights_file, "metrics.jsonl"]
-    if (out / names[0]).exists():
-        names.append("config.yaml")  # weights mean nothing without it
+    names = ["metrics.jsonl", weights_file]
+    if (out / weights_file).exists():
+        # weights mean nothing without it; first, so that who is stopped between the two goes on with the other
+        names.insert(0, "config.yaml")
     found = [out / name for name in names if (out / name).exists()]
     for number in count(1):
         tag = "previous" if number == 1 else f"previous-{number}"

@@ -18,6 +18,7 @@ from collections.abc import Sequence
 
 from august_jax.app.cli import demo, doctor, evaluate, export, rcs, reconstruct, simulate, track, train
 from august_jax.app.cli.clock import watched
+from august_jax.app.cli.interrupt import STATUS, end_at_once
 from august_jax.app.cli.messages import note, told
 from august_jax.app.cli.parser import alike, parse
 
@@ -49,6 +50,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         args = parse(words, COMMANDS)
         if args is None:
             return 0
+        if argv is None:
+            end_at_once()
         with warnings.catch_warnings():
             warnings.showwarning = lambda message, *_: note(f"august: note: {message}")
             from august_jax.app.compiled import keep_compiled  # with NumPy, which --help does without
@@ -67,7 +70,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 0
     except KeyboardInterrupt:
         note("august: interrupted; finished files are kept, nothing is half-written")
-        return 130
+        return STATUS
     except Exception as error:
         if debug:
             raise

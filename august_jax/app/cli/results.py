@@ -6,6 +6,7 @@ import argparse
 import json
 import platform
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -72,7 +73,7 @@ def leave(
     from august_jax import evaluation
     from august_jax.app import report
     from august_jax.app.export import write_ply, write_record
-    from august_jax.files import write_text
+    from august_jax.files import occupying, replacing
 
     metrics = {
         "command": args.command,
@@ -83,27 +84,33 @@ def leave(
         **made,
         **scores,
     }
-    write_record(out / "clouds.npz", track.record())
-    write_ply(out / "cloud.ply", track.points[-1], track.point_permittivity[-1], track.point_conductivity[-1])
-    write_text(out / "metrics.json", json.dumps(metrics, indent=1, allow_nan=False))
-    write_text(out / "config.yaml", configuration.to_yaml(config))
-    draw(out / f"{args.command}.png")
-    report.write_report(
-        out / "report.html",
-        track,
-        scores,
-        title=title,
-        lead=lead,
-        note=evaluation.NOTE,
-        setup=setup,
-        following=following,
-        repeat=[(command_line(*args.words), _needed(made))],
-        configuration=configuration.to_yaml(config),
-        scheme=scheme,
-        hypotheses=hypotheses,
-        permittivity=config.target.permittivity,
-        conductivity=config.target.conductivity_s_m,
-    )
+    with occupying(out, wait=True), ExitStack() as whole:
+        # all are written before any takes its place, and the numbers come last: where they are missing, the process
+        # was stopped between the files of two runs
+        names = ("metrics.json", "config.yaml", "cloud.ply", "clouds.npz", f"{args.command}.png", "report.html")
+        aside = {name: whole.enter_context(replacing(out / name)) for name in names}
+        write_record(aside["clouds.npz"], track.record())
+        write_ply(aside["cloud.ply"], track.points[-1], track.point_permittivity[-1], track.point_conductivity[-1])
+        aside["metrics.json"].write_text(json.dumps(metrics, indent=1, allow_nan=False), encoding="utf-8")
+        aside["config.yaml"].write_text(configuration.to_yaml(config), encoding="utf-8")
+        draw(aside[f"{args.command}.png"])
+        report.write_report(
+            aside["report.html"],
+            track,
+            scores,
+            title=title,
+            lead=lead,
+            note=evaluation.NOTE,
+            setup=setup,
+            following=following,
+            repeat=[(command_line(*args.words), _needed(made))],
+            configuration=configuration.to_yaml(config),
+            scheme=scheme,
+            hypotheses=hypotheses,
+            permittivity=config.target.permittivity,
+            conductivity=config.target.conductivity_s_m,
+        )
+        (out / "metrics.json").unlink(missing_ok=True)
     files = ["report.html", f"{args.command}.png", "cloud.ply", "metrics.json", "config.yaml", "clouds.npz"]
     say(args, f"\n{title}\n{lead}\n")
     if first:

@@ -1,0 +1,61 @@
+"""Ctrl-C at any time of a command: status 130 at once, no traceback, and folders that the next run goes on with."""
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+COMMANDS = {
+    "simulate": "simulate --preset smoke data.count=60 data.shard_rows=20 --out data",
+    "train": "train --preset smoke train.source=stream data.solver=table --out run",
+    "demo": "demo --preset smoke --slots 4 --out demo",
+}
+AT_ONCE_S = 3.0
+"""For a machine at work on other things; alone it takes a tenth of a second."""
+
+
+def interrupted(words, folder, seconds):
+    """Status, stderr, and how long the end took, of a command that is interrupted after so long. Python's own start,
+    before the command line is there, is left alone."""
+    environment = os.environ | {"PYTHONUNBUFFERED": "1", "AUGUST_CHECK_TYPES": "0"}
+    code = "import august_jax.app.cli as cli, sys; print('here', file=sys.stderr, flush=True); sys.exit(cli.main())"
+    with subprocess.Popen(
+        [sys.executable, "-c", code, *words.split()], cwd=folder, env=environment, stderr=subprocess.PIPE,
+        stdout=subprocess.DEVNULL, text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    ) as process:  # fmt: skip
+        assert process.stderr.readline() == "here\n"
+        time.sleep(seconds)
+        began = time.monotonic()
+        process.send_signal(signal.SIGINT)
+        told = process.stderr.read()
+        status = process.wait(600)
+        return status, told, time.monotonic() - began
+
+
+def check(name, folder, seconds):
+    status, told, took = interrupted(COMMANDS[name], folder, seconds)
+    if status == 0:
+        return False
+    assert status == 130, f"{name} after {seconds:.1f} s: status {status}\n{told}"
+    assert told.splitlines()[-1] == "august: interrupted; finished files are kept, nothing is half-written"
+    assert "Traceback" not in told
+    assert took < AT_ONCE_S, f"{name} after {seconds:.1f} s took {took:.1f} s to end"
+    assert not [path for path in folder.rglob(".*") if path.name != ".cache"]
+    return True
+
+
+@pytest.mark.parametrize("seconds", [0.3, 2.5])
+def test_an_interrupt_ends_a_command_at_once(tmp_path, seconds):
+    assert check("simulate", tmp_path, seconds)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", COMMANDS)
+def test_an_interrupt_at_any_time_ends_a_command_at_once(tmp_path, name):
+    chance = random.Random(name)
+    assert sum(check(name, tmp_path, chance.uniform(0.1, 25.0)) for _ in range(17)) >= 8
