@@ -137,7 +137,7 @@ def draw(results: dict[str, np.ndarray], path: Path) -> None:
         axis.set_xticklabels(names, rotation=20)
         axis.grid(True, axis="y", alpha=0.3)
     panels[0].set_ylabel("radar cross-section [dBsm]: mean (dot), median, 5 to 95 %")
-    panels[0].legend(fontsize=8, loc="lower left")
+    fig.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=5, fontsize=9, frameon=False)
     save(fig, path)
 
 

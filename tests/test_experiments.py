@@ -176,8 +176,24 @@ def beside_planes(numbers):
     assert np.mean(numbers["truth_error_m"]) < np.mean(numbers["prediction_error_m"])
 
 
+def cross_sections(numbers):
+    """Metal parts add to plastic, conducting all over most; at these sizes more wavelengths across scatter more."""
+    found = numbers["rcs_dbsm"].astype(float)
+    crafts, materials, tones = len(numbers["names"]), 3, len(numbers["frequency_hz"])
+    assert found.shape == (crafts, materials, tones, len(numbers["directions"]), 3)
+    np.testing.assert_allclose(np.linalg.norm(numbers["directions"], axis=1), 1.0, atol=1e-6)
+    assert np.linalg.norm(numbers["directions"].mean(axis=0)) < 0.01  # no side is preferred
+    mean = 10.0 * np.log10(np.mean(10.0 ** (found[..., :2] / 10.0), axis=(3, 4)))
+    assert np.all(np.diff(mean, axis=1) > 2.0)  # dB, from plastic to metal parts to conducting
+    assert np.all(np.diff(mean[:, 0], axis=1) > 1.0)
+    cross = 10.0 * np.log10(np.mean(10.0 ** (found[..., 2] / 10.0), axis=3))
+    assert np.all(cross < mean)
+    assert np.all((numbers["metal_cells"] > 0) & (numbers["metal_cells"] < 0.5 * numbers["cells"]))
+
+
 LAWS = {
     "convergence": cell_size,
+    "craft_rcs": cross_sections,
     "design": array_design,
     "environment": beside_planes,
     "limits": what_physics_allows,

@@ -12,6 +12,7 @@ from august_jax.scene.airframes import (
 from august_jax.scene.cloud import WorldCloud, from_cloud, position_estimate, to_cloud
 from august_jax.scene.mesh_files import MeshSource
 from august_jax.scene.pose import random_rotation, rotation_from_euler, rotation_from_quaternion, tilt, transform
+from august_jax.scene.rotorcraft import Rotorcraft, rotorcraft
 from august_jax.scene.scenario import Scenario, draw_scenario, pose_scenario
 from august_jax.scene.trajectory import Flight, fly, fly_many
 
@@ -20,6 +21,7 @@ __all__ = [
     "Airframe",
     "Flight",
     "MeshSource",
+    "Rotorcraft",
     "Scenario",
     "WorldCloud",
     "draw_scenario",
@@ -35,6 +37,7 @@ __all__ = [
     "resolve_airframe",
     "rotation_from_euler",
     "rotation_from_quaternion",
+    "rotorcraft",
     "sample_triangles",
     "tilt",
     "to_cloud",

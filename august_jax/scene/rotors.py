@@ -1,4 +1,4 @@
-"""Half-wheelbase of a craft from its bare surface.
+"""Rotors of a bare surface: which pieces turn about axes that are known, and the half-wheelbase where none is.
 
 A mesh names no rotors, but a craft repeats its parts: propellers, motors, their caps and screws come in threes, fours,
 sixes or eights about the same axes, further out than most other parts. So congruent bodies of the mesh are grouped;
@@ -14,7 +14,7 @@ the two others.
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
@@ -23,6 +23,47 @@ _EXTENT_SHARE = 0.31
 
 _ENOUGH = 0.25
 """Votes that a half-wheelbase needs to be believed."""
+_NEAR = 0.1
+"""How far from a rotor's centre the middle of its piece may lie, over the rotor's radius."""
+_BLADE = 3.0
+"""A rotor's radius over its height, at least: motors, which stand on the same axes, are as high as they are wide."""
+
+
+def rotor_faces(
+    vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], centres_m: Float[np.ndarray, "R 3"]
+) -> list[Bool[np.ndarray, " F"]]:
+    """Which faces turn about each axis: those of the widest flat piece whose middle is at the rotor's centre.
+
+    Args:
+        vertices: (V, 3) [m], z up, merged where they coincide.
+        faces: (F, 3).
+        centres_m: the rotors' centres (R, 3) [m].
+
+    Returns:
+        masks of faces (F,), one a rotor; empty where no piece fits.
+    """
+    label, count = _pieces(vertices, faces)
+    found = []
+    for centre in centres_m:
+        best, widest = np.zeros(len(faces), bool), 0.0
+        for piece in range(count):
+            mine = label == piece
+            if not mine.any():
+                continue
+            places = vertices[np.unique(faces[mine])] - centre
+            radius, high = np.hypot(places[:, 0], places[:, 1]).max(), np.abs(places[:, 2]).max()
+            middle = 0.5 * (places.min(axis=0) + places.max(axis=0))
+            if radius > max(widest, _BLADE * high) and np.linalg.norm(middle) < _NEAR * radius:
+                best, widest = mine, radius
+        found.append(best)
+    return found
+
+
+def _pieces(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, int]:
+    """The connected piece of each face (F,), and how many pieces there are."""
+    edges = np.concatenate([faces[:, :2], faces[:, 1:]]).T
+    count, label = connected_components(coo_matrix((np.ones(edges.shape[1]), edges), [len(vertices)] * 2))
+    return label[faces[:, 0]], count
 
 
 def estimate_half_wheelbase(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> float:
@@ -47,9 +88,7 @@ def _repeated_bodies(
     vertices: np.ndarray, faces: np.ndarray, middle: np.ndarray, diagonal: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Half of the largest horizontal distance within each group of congruent bodies [m], and the group's vote."""
-    edges = np.concatenate([faces[:, :2], faces[:, 1:]]).T
-    count, label = connected_components(coo_matrix((np.ones(edges.shape[1]), edges), [len(vertices)] * 2))
-    label = label[faces[:, 0]]
+    label, count = _pieces(vertices, faces)
     triangles = vertices[faces]
     area = 0.5 * np.linalg.norm(np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=-1)
     size = np.bincount(label, area, count)
