@@ -49,6 +49,15 @@ def test_a_batch_is_a_function_of_the_step_alone(batches, targets):
     assert not np.any(np.asarray(other.predicted) == np.asarray(first.predicted))
 
 
+def test_flights_of_many_steps_flown_together_are_those_flown_apart(batches, targets, monkeypatch):
+    # as on an accelerator, where a block of steps is flown at once
+    together = data.StreamedBatches(CONFIG, targets)
+    monkeypatch.setattr(together, "_block", 3)
+    for step in (4, 5, 3, 6):
+        for one, two in zip(jax.tree.leaves(together(step)), jax.tree.leaves(batches(step)), strict=True):
+            np.testing.assert_allclose(one, two, rtol=1e-4, atol=1e-4 * np.abs(two).max())
+
+
 def test_nothing_comes_twice(batches):
     seen = [batches(step) for step in range(4)]
     for read in (

@@ -8,6 +8,8 @@ in the region's subspace, its coefficients U^H H conj(U) do, and H is never form
 (:mod:`august_jax.data.reference`).
 
 A batch is a function of the configuration and the step alone, so that a continued run sees what it would have seen.
+Flights are flown step by step in time, which an accelerator does for 65,536 of them as quickly as for one: there those
+of many batches are flown together.
 """
 
 from __future__ import annotations
@@ -37,6 +39,8 @@ from august_jax.scene.trajectory import Flight, fly_many
 from august_jax.signal.roi import Coefficients
 from august_jax.signal.station import observe_for
 
+_TOGETHER = 65_536
+"""Flights that an accelerator flies at once; a processor flies those of one batch."""
 _VALIDATED = 256
 """Samples that a streamed training is validated on."""
 
@@ -56,14 +60,36 @@ class StreamedBatches:
         self._config = config
         self._tables = tables_of(config, targets)
         self._surfaces = tuple(jnp.asarray(np.stack(part)) for part in zip(*(target.surface for target in targets)))
+        self._block = 1 if jax.default_backend() == "cpu" else max(1, _TOGETHER // config.train.batch)
+        self._flown: tuple[int, Flight] | None = None
 
     @streams.pin  # whoever calls, from whatever thread
     def __call__(self, step: int) -> Batch:
         config, count = self._config, self._config.train.batch
-        flights, samples = (streams.key(config.train.seed, f"stream.{name}", step) for name in ("flight", "sample"))
-        tracks = fly_many(jax.random.split(flights, count), config.flight)
+        samples = streams.key(config.train.seed, "stream.sample", step)
+        tracks = self._flights(step)
         turn = jnp.asarray(count * step % len(config.target.airframes), jnp.int32)
         return _streamed(samples, tracks, turn, self._tables, *self._surfaces, config)
+
+    def _flights(self, step: int) -> Flight:
+        """Those of a step's samples; of a whole block of steps where these are flown together."""
+        block, place = divmod(step, self._block)
+        kept = self._flown  # one read: another thread may put another block there
+        if kept is None or kept[0] != block:
+            steps = range(block * self._block, (block + 1) * self._block)
+            kept = block, fly_batches(self._config, steps)
+            self._flown = kept
+        return jax.tree.map(lambda leaf: leaf[place], kept[1])
+
+
+@streams.pin
+def fly_batches(config: Config, steps: Sequence[int]) -> Flight:
+    """The flights of the samples of several steps, (steps, train.batch, slots, ...)."""
+    count = config.train.batch
+    parents = jnp.stack([streams.key(config.train.seed, "stream.flight", step) for step in steps])
+    keys = jax.vmap(lambda key: jax.random.split(key, count))(parents)
+    flown = fly_many(keys.reshape(-1), config.flight)
+    return jax.tree.map(lambda leaf: leaf.reshape(len(steps), count, *leaf.shape[1:]), flown)
 
 
 @streams.pin
