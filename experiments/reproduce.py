@@ -20,7 +20,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent / "paper"))
 
-from campaign import SCALES, Campaign, OtherConfiguration, OutOfTime
+from campaign import SCALES, Campaign, OtherConfiguration, OutOfTime, Run
 from figure import Figure, add_places, make, picture
 from schemes_over_snr import asked
 
@@ -87,11 +87,22 @@ def figures(names: Sequence[str]) -> list[Figure]:
     return [importlib.import_module(name).FIGURE for name in chosen]
 
 
+def missing(chosen: Sequence[Figure], campaign: Campaign) -> tuple[list[Run], list[Run]]:
+    """The networks and the evaluations that the figures still need: not those whose numbers are on disk."""
+    preset = campaign.preset
+    wanted = [pair for figure in chosen if not campaign.computed(figure.name) for pair in figure.runs(preset)]
+    judged = dict.fromkeys(
+        run for run, rows in wanted if rows and not campaign.evaluated(run, asked(preset, run, chosen))
+    )
+    networks = dict.fromkeys(run for run, rows in wanted if not rows or run in judged)
+    return list(networks), list(judged)
+
+
 def plan(chosen: Sequence[Figure], campaign: Campaign) -> list[Piece]:
     """What the figures need, in the order in which it is made."""
     preset, scale = campaign.preset, campaign.scale
     pieces: list[Piece] = []
-    runs = dict.fromkeys(run for figure in chosen for run, _ in figure.runs(preset))
+    runs, to_judge = missing(chosen, campaign)
     judged = dict.fromkeys(run for figure in chosen for run, rows in figure.runs(preset) if rows)
     bodies = set()
     for run in runs:
@@ -114,7 +125,7 @@ def plan(chosen: Sequence[Figure], campaign: Campaign) -> list[Piece]:
         seconds = slots * _EVALUATE_S_PER_SLOT[preset] + _COMPILE_S[preset]
         seconds += 7.0 * scale.searched * len(scale.snr_db) if searched else 0.0
         what = f"evaluate {run.name}{', with the search' if searched else ''}"
-        pieces.append(Piece(what, campaign.evaluated(run, searched), seconds / 60.0, 0.1))
+        pieces.append(Piece(what, run not in to_judge, seconds / 60.0, 0.1))
     for figure in chosen:
         share = min(scale.steps / SCALES["laptop"].steps, 1.0)
         pieces.append(Piece(f"figure {figure.name}", campaign.computed(figure.name),
@@ -141,11 +152,11 @@ def reproduce(chosen: Sequence[Figure], campaign: Campaign) -> None:
         OutOfTime: the campaign's deadline has passed.
         OtherConfiguration: something on disk is of another configuration.
     """
-    preset = campaign.preset
-    for run in dict.fromkeys(run for figure in chosen for run, _ in figure.runs(preset)):
+    networks, judged = missing(chosen, campaign)
+    for run in networks:
         campaign.networks(run)
-    for run in dict.fromkeys(run for figure in chosen for run, rows in figure.runs(preset) if rows):
-        campaign.rows(run, asked(preset, run, chosen))
+    for run in judged:
+        campaign.rows(run, asked(campaign.preset, run, chosen))
     for figure in chosen:
         paths = picture(figure, campaign, make(figure, campaign))
         campaign.progress(f"wrote {', '.join(map(str, paths))}")
