@@ -22,6 +22,7 @@ import zlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from tokenize import TokenError
 from typing import Any
 
 import numpy as np
@@ -200,7 +201,7 @@ def read_npz(path: str | Path) -> dict[str, np.ndarray]:
         raise
     except (
         OSError, ValueError, EOFError, KeyError, TypeError, SyntaxError, OverflowError, NotImplementedError,
-        RuntimeError, zipfile.BadZipFile, zlib.error,
+        RuntimeError, TokenError, zipfile.BadZipFile, zlib.error,
     ) as error:  # fmt: skip  # whatever a flipped byte makes of a header
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise DamagedFile(f"{path}: is damaged, or no .npz file ({reason})") from None

@@ -88,3 +88,8 @@ def test_errors_along_and_across_the_line_of_sight():
     errors = np.array([[0.6, 0.8, 0.5], [0.3, 0.4, -1.0]])  # 1 m along and 0.5 m across, both
     along, across = metrics.along_and_across_m(places + errors, places)
     assert float(along) == pytest.approx(1.0, abs=1e-6) and float(across) == pytest.approx(0.5, abs=1e-6)
+
+
+def test_an_empty_cloud_is_refused_by_name():
+    with pytest.raises(ValueError, match="source, target: clouds of 0 and 5 points; give at least one"):
+        metrics.shape_distances(np.zeros((2, 0, 3), np.float32), np.zeros((2, 5, 3), np.float32))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from tokenize import TokenError
 from typing import Any, Literal, get_args
 
 import jax
@@ -73,7 +74,7 @@ class Dataset:
             array = np.load(self._folder / shard / file, mmap_mode="r", allow_pickle=False)
             found = [list(array.shape), str(array.dtype)]
             whole = len(array) == rows and array.flags.c_contiguous and found == list(form)
-        except (OSError, ValueError, EOFError, TypeError, SyntaxError):
+        except (OSError, ValueError, EOFError, TypeError, SyntaxError, TokenError):
             whole = False
         if not whole:
             raise self._damaged(shard, file)

@@ -34,7 +34,12 @@ def nearest_squared(source: Float[Array, "n 3"], target: Float[Array, "m 3"]) ->
     """Squared distance (N,) [m^2] of each point of ``source`` (N, 3) to the nearest of ``target`` (M, 3) [m].
 
     Written coordinate by coordinate: the N x M distances then melt into the minimum and are never stored.
+
+    Raises:
+        ValueError: a cloud without points.
     """
+    if 0 in (len(source), len(target)):
+        raise ValueError(f"source, target: clouds of {len(source)} and {len(target)} points; give at least one in each")
     distances = sum((source[:, None, axis] - target[None, :, axis]) ** 2 for axis in range(3))
     return jnp.min(distances, axis=1)
 

@@ -16,6 +16,7 @@ import shutil
 import time
 import warnings
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -208,15 +209,15 @@ def try_result(content: bytes, home: Path) -> Met:
 
 
 def try_data(files: dict[str, bytes], home: Path) -> Met:
-    """Of a data set: what describes it and its shards is mutated, and what is read has the shapes that it must have."""
+    """A data set whose description, or an array of it, is mutated is refused, or read as it was made."""
     folder = home / "data"
     for name, content in files.items():
         (folder / name).write_bytes(content)
 
     def read() -> None:
-        data = Dataset(folder)
-        rows = data.read(np.arange(min(data.count, 3)))
-        assert rows.true_channel.shape[1:] == (1, 36) and len(rows.position) == min(data.count, 3)
+        rows = Dataset(folder).read(np.arange(16))
+        assert rows.true_channel.shape == (16, 1, 36)
+        np.testing.assert_array_equal(rows.position, _positions())
 
     return tried(read)
 
@@ -228,10 +229,20 @@ def try_weights(content: bytes, home: Path) -> Met:
 
     def read() -> None:
         _, state = load_weights(path, preset("smoke"))
-        for found, true in zip(jax.tree.leaves(state), jax.tree.leaves(create(preset("smoke"), 0)[1]), strict=True):
+        for found, true in zip(jax.tree.leaves(state), jax.tree.leaves(_networks()), strict=True):
             np.testing.assert_array_equal(found, true)
 
     return tried(read)
+
+
+def _positions() -> np.ndarray:
+    return np.random.default_rng(0).normal(size=(16, 3)).astype(np.float32)
+
+
+@cache
+def _networks():
+    """What the weights were written from."""
+    return create(preset("smoke"), 0)[1]
 
 
 def _track() -> dict[str, np.ndarray]:
@@ -264,7 +275,6 @@ def small_data(tmp_path_factory):
 
     folder = tmp_path_factory.mktemp("small") / "data"
     config = configuration.override(preset("smoke"), ["data.count=16", "data.shard_rows=8"])
-    rng = np.random.default_rng(0)
 
     def made_up(config, rows, targets):
         from august_jax.data import Sample
@@ -272,7 +282,7 @@ def small_data(tmp_path_factory):
         count, n = len(rows), config.array.count
         ones = np.ones(count, np.float32)
         return Sample(
-            rng.normal(size=(count, 3)).astype(np.float32), np.tile(np.eye(3, dtype=np.float32), (count, 1, 1)),
+            _positions()[rows], np.tile(np.eye(3, dtype=np.float32), (count, 1, 1)),
             2 * ones, 0.01 * ones, np.zeros(count, np.int32), np.zeros(count, np.int32),
             np.arange(count, dtype=np.int32), np.zeros((count, config.target.points, 3), np.float32),
             np.ones((count, 1, n * (n + 1) // 2), np.complex64),
@@ -302,7 +312,13 @@ def _strategy(kind: str, small_data: Path) -> st.SearchStrategy:
         return bytes_of(_packed(_track()))
     if kind == "weights":
         return bytes_of(_weights())
-    names = ["manifest.json", "config.yaml", "shard-00000/meta.json", "shard-00001/meta.json"]
+    names = [
+        "manifest.json",
+        "config.yaml",
+        "shard-00000/meta.json",
+        "shard-00001/meta.json",
+        "shard-00000/position.npy",
+    ]
     seeds = {name: (small_data / name).read_bytes() for name in names}
     return st.sampled_from(names).flatmap(lambda name: bytes_of(seeds[name], 2).map(lambda each: {**seeds, name: each}))
 
@@ -310,9 +326,8 @@ def _strategy(kind: str, small_data: Path) -> st.SearchStrategy:
 def _weights() -> bytes:
     import tempfile
 
-    _, state = create(preset("smoke"), 0)
     with tempfile.TemporaryDirectory() as folder:
-        save_weights(Path(folder) / "weights.npz", state)
+        save_weights(Path(folder) / "weights.npz", _networks())
         return (Path(folder) / "weights.npz").read_bytes()
 
 
