@@ -191,6 +191,27 @@ def cross_sections(numbers):
     assert np.all((numbers["metal_cells"] > 0) & (numbers["metal_cells"] < 0.5 * numbers["cells"]))
 
 
+def turning_rotors(numbers):
+    """The hull's line is at 2 v/lambda, rotors add none beyond their tips, and more than is left out."""
+    from august_jax.physics import doppler_shift, doppler_spectrum
+
+    interval = float(numbers["approaching_interval_s"])
+    shifts, spectrum = doppler_spectrum(numbers["approaching"], interval)
+    peaks = shifts[np.argmax(np.abs(spectrum), axis=0)]
+    assert np.all(np.abs(peaks - doppler_shift(10.0, 1.0) * numbers["tones_hz"]) < 1.0 / (interval * len(shifts)))
+    shifts, spectrum = doppler_spectrum(numbers["hovering"], float(numbers["interval_s"]))
+    power = np.abs(spectrum) ** 2
+    tip = max(doppler_shift(2.0 * np.pi * numbers["rates_hz"] * numbers["radii_m"], 3e9))
+    flash = 2.0 * numbers["rates_hz"].max()  # Bessel's functions fall off over a few lines beyond their argument
+    assert np.all(numbers["blades"] == 2)
+    outer, beyond = np.abs(shifts) > 0.6 * tip, np.abs(shifts) > tip + 3.0 * flash
+    assert power[beyond].sum() < 1e-3 * power[outer].sum()
+    turning = np.abs(shifts) > 0.5 * flash
+    assert power[outer].sum() > 1e-3 * power[turning].sum() > 0.0
+    left, added = (np.sqrt(np.sum(np.abs(numbers[name]) ** 2, axis=(1, 2, 3))) for name in ("left_out", "added"))
+    assert np.all((left > 0.0) & (left < 0.8 * added))
+
+
 LAWS = {
     "convergence": cell_size,
     "craft_rcs": cross_sections,
@@ -200,6 +221,7 @@ LAWS = {
     "link_budget": echo_over_the_box,
     "prediction": prediction_errors,
     "refine_pose": pose_by_gradients,
+    "rotor_doppler": turning_rotors,
     "sensitivity": parts_of_a_drone,
     "threshold": explanations_left,
     "trust": trust,

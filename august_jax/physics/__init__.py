@@ -32,6 +32,7 @@ from august_jax.physics.materials import contrast
 from august_jax.physics.mom import Solution, interaction_matrix, self_term, solve_dense
 from august_jax.physics.parameters import PARAMETERS, Parameters, moved, parameter_channel, rotation_from_vector
 from august_jax.physics.rcs import POLARISATIONS, dbsm, looking, polarisations, scattering_matrix, seen_from
+from august_jax.physics.refinement import Refined, channel_with_error, extrapolated
 
 __all__ = [
     "PARAMETERS",
@@ -45,6 +46,7 @@ __all__ = [
     "Parameters",
     "PlanarArray",
     "Plane",
+    "Refined",
     "Solution",
     "Spinning",
     "Spread",
@@ -53,6 +55,7 @@ __all__ = [
     "blade_flash_rate",
     "body_channel",
     "cache_folder",
+    "channel_with_error",
     "contrast",
     "coupling_matrix",
     "dbsm",
@@ -62,6 +65,7 @@ __all__ = [
     "dyadic_green",
     "environment_channel",
     "environment_sensing_channel",
+    "extrapolated",
     "factor_bodies",
     "factor_body",
     "fisher_information",
