@@ -19,6 +19,10 @@ Parts:
     ``body_channel`` over cells, antennas and batch.
 ``set``
     channels of the paper's flights, five airframes (or of another preset's).
+``precision``
+    channels by factored body and by coupled solve as this device multiplies them when it is asked for all digits, as
+    the package asks, and when it is left to its default, which on a GPU or TPU rounds factors; a processor gives the
+    same twice.
 ``tables``
     the same flights' channels by table, all airframes in every batch, beside the time that factoring and tabulating (or
     reading both) takes and the tables' errors; best of batches of 128.
@@ -357,6 +361,35 @@ def flights_set(args) -> list[dict]:
     return [{"count": args.count, "cells": sizes, "channels_s": spent, "factoring_or_cache_s": factoring}]
 
 
+def precision(args) -> list[dict]:
+    """Errors of channels by the precision that products of matrices are asked for."""
+    cells, distance = lattice(min(args.cells, 500)), max(args.distance)
+    body, _ = factored(cells, 0.9 * distance)
+    turns, places = poses(4, distance)
+    chi = jnp.asarray(CHI, jnp.complex64)
+    routes = {
+        "body": lambda turn, place: body_channel(body, ARRAY, turn, place, chi),
+        "mom": lambda turn, place: sensing_channel(ARRAY, single(cells).moved(turn, place), chi),
+    }
+    exact = [in_double(cells, turn, place, lambda moved: sensing_channel(ARRAY, moved, CHI)) for turn, place in
+             zip(turns, places, strict=True)]  # fmt: skip
+    rows = []
+    for route, call in routes.items():
+        errors = {}
+        for asked in ("highest", "default"):
+            with jax.default_matmul_precision(asked):
+                fast = jax.jit(call)
+                found = [off(fast(*pose), whole) for *pose, whole in zip(turns, places, exact, strict=True)]
+            errors[asked] = float(np.max(found))
+        rows.append({"route": route, "cells": cells.count, **errors})
+        print(
+            f"precision {route}, {cells.count} cells: error {errors['highest']:.1e} in full, {errors['default']:.1e} "
+            "by the device's default",
+            flush=True,
+        )
+    return rows
+
+
 def tabulated_set(args) -> list[dict]:
     """Channels of a preset's flights through its airframes' tables: preparing and channels, each timed."""
     config = preset(args.preset)
@@ -409,7 +442,14 @@ def tabulated_set(args) -> list[dict]:
     ]
 
 
-PARTS = {"rigid": rigid, "moving": moving, "set": flights_set, "tables": tabulated_set, "scaling": scaling}
+PARTS = {
+    "rigid": rigid,
+    "moving": moving,
+    "precision": precision,
+    "set": flights_set,
+    "tables": tabulated_set,
+    "scaling": scaling,
+}
 
 
 def main() -> None:
