@@ -156,6 +156,9 @@ def test_the_bound_of_the_first_samples_is_the_mean_of_theirs():
     for name, value in bound.at(20.0, 2).items():
         assert value == pytest.approx(np.mean([each.at(20.0)[name] for each in alone]), rel=1e-3)
     assert bound.at(20.0, 4) == bound.at(20.0) and bound.at(20.0, 2) != bound.at(20.0)
+    levels = np.array([0.0, 30.0, 10.0, 20.0])  # each at its own, in the samples' order
+    for name, values in bound.each(levels).items():
+        assert values[:2] == pytest.approx([each.at(snr)[name] for each, snr in zip(alone, levels)], rel=1e-3)
 
 
 def test_pilots_that_light_all_directions_have_no_bound():

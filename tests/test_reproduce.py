@@ -207,7 +207,7 @@ def made_up(figure, here):
                 "predicted_m": errors, "estimated_m": 0.5 * errors, "search_m": searched, "estimated_lost": lost,
                 "search_lost": lost, "first": np.array(3)}  # fmt: skip
     if figure.name.startswith("craft_"):
-        lines = {name: rng.uniform(0.1, 1.0, (2, 3)) for name in ("wd_se_db", "mpe_m", "mpe_se_m", "snr_db")}
+        lines = {name: rng.uniform(0.1, 1.0, (2, 3)) for name in ("wd_se_db", "mpe_m", "mpe_se_m", "snr_db", "bound_m")}
         return {"label": np.array(["small", "large"]), "power_dbm": np.array([-30.0, -15.0, 0.0]), **lines,
                 "wd_db": -10.0 * lines["mpe_m"], "mcd_db": -20.0 * lines["mpe_m"],
                 "prediction_m": np.full(2, 0.48), "floor_db": np.full(2, -37.0)}  # fmt: skip

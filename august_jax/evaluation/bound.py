@@ -91,15 +91,24 @@ class Bound:
         self._order, self._normal = order, np.asarray(samples.rotation[order, :, 2])
         self._spread = spread_of(config)
 
+    def each(self, snr_db: Float[Array, " n"]) -> dict[str, Float[np.ndarray, " m"]] | None:
+        """Sample by sample, each at its own SNR (n,) of at least the first 100 samples [dB]: ``bound_m`` [m] and
+        ``bound_mde`` as of :meth:`at`; None where they are not known."""
+        if self._information is None:
+            return None
+        order = self._order
+        known = 10.0 ** (np.asarray(snr_db, np.float64)[order] / 10.0)[:, None, None] * self._information
+        tilts = np.asarray(tilt_bound(known, self._normal, self._spread))
+        back = np.argsort(order)
+        return {
+            "bound_m": np.asarray(mean_position_error(known, self._spread))[back],
+            "bound_mde": 0.5 * tilts[back] ** 2,  # 1 - cos of small angles
+        }
+
     def at(self, snr_db: float, count: int | None = None) -> dict[str, float | None]:
         """``bound_m``, the mean position error [m], and ``bound_mde``, half the mean square of the tilt error, of the
         first ``count`` samples (all 100 by default); None where they are not known."""
-        if self._information is None:
+        values = self.each(np.full(len(self._order), snr_db))
+        if values is None:
             return {"bound_m": None, "bound_mde": None}
-        those = self._order < (SAMPLES if count is None else count)
-        known = 10.0 ** (snr_db / 10.0) * self._information[those]
-        tilts = tilt_bound(known, self._normal[those], self._spread)
-        return {
-            "bound_m": float(np.mean(mean_position_error(known, self._spread))),
-            "bound_mde": float(np.mean(0.5 * tilts**2)),
-        }  # 1 - cos of small angles
+        return {name: float(np.mean(each[:count])) for name, each in values.items()}

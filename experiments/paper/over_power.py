@@ -20,7 +20,9 @@ from august_jax import streams
 from august_jax.app.plotting import new_figure
 from august_jax.config import Config, override
 from august_jax.data import Sample, fresh_samples, observed_anew, prepare_targets
+from august_jax.evaluation.bound import Bound
 
+_LOUD_DBM = 60.0
 SCORED = ("wd_db", "wd_se_db", "mcd_db", "mpe_m", "mpe_se_m")
 """Of :func:`august_jax.evaluation.score`."""
 
@@ -44,8 +46,8 @@ def over_power(campaign: Campaign, cases: Sequence[Case], count: int) -> Numbers
 
     Returns:
         ``label`` (L,); ``power_dbm`` (P,); (L, P) each: ``snr_db`` (median), ``wd_db`` with ``wd_se_db``, ``mcd_db``,
-        ``mpe_m`` with ``mpe_se_m``; (L,) each: ``prediction_m`` and ``floor_db``, answering the prediction, and the WD
-        of the true surface drawn anew.
+        ``mpe_m`` with ``mpe_se_m`` and its ``bound_m``, not a number where none is known; (L,) each: ``prediction_m``
+        and ``floor_db``, answering the prediction, and the WD of the true surface drawn anew.
     """
     powers = np.zeros(0)
     found: list[list[list[float]]] = []
@@ -62,16 +64,25 @@ def over_power(campaign: Campaign, cases: Sequence[Case], count: int) -> Numbers
         found.append([])
         truth, size_m = truth_of(samples, targets), config.target.half_wheelbase_m
         asked = Asked(case.label, "august", config, networks)
+        loud = _echoes(samples, config, _LOUD_DBM)  # so that no estimate's error is in its SNR
+        bound = Bound(samples, np.asarray(loud.predicted), targets, config)
         for power in powers:
+            least = bound.each(np.asarray(loud.snr_db, float) - _LOUD_DBM + power)
             batch = _echoes(samples, config, float(power))
             slots = slots_of(batch, truth)
             scored = row(asked, slots, size_m)
-            found[-1].append([float(np.median(batch.snr_db)), *(scored[name] or 0.0 for name in SCORED)])
+            found[-1].append(
+                [
+                    float(np.median(batch.snr_db)),
+                    *(scored[name] or 0.0 for name in SCORED),
+                    np.nan if least is None else float(np.mean(least["bound_m"])),
+                ]
+            )
         prediction, floor = (row(Asked(name, name, config), slots, size_m) for name in ("prediction", "resampling"))
         deaf.append((prediction["mpe_m"], floor["wd_db"]))
         campaign.progress(f"{case.label}: {count} slots at {len(powers)} powers  {clock.left()}")
         jax.clear_caches()
-    names = ("snr_db", *SCORED)
+    names = ("snr_db", *SCORED, "bound_m")
     values = np.array(found)
     return {
         "label": np.array([case.label for case in cases]),
@@ -99,8 +110,11 @@ def drawn_over_power(numbers: Numbers):
         first.errorbar(power, numbers["wd_db"][at], numbers["wd_se_db"][at], label=str(label), **style)
         second.errorbar(power, numbers["mpe_m"][at], numbers["mpe_se_m"][at], **style)
         first.axhline(numbers["floor_db"][at], color=style["color"], ls=":", lw=0.8)
+        second.plot(power, numbers["bound_m"][at], color=style["color"], ls="-.", lw=0.8)
+    first.plot([], [], color="#999999", ls=":", lw=0.8, label="the true surface anew: the floor")
+    second.plot([], [], color="#555555", ls="-.", lw=0.8, label="bound, craft known")
     second.axhline(numbers["prediction_m"][0], color="#555555", ls="--", lw=1.0, label="answering the prediction")
-    first.set_ylabel("weighted distance [dB]; dotted: floor of the cloud's points")
+    first.set_ylabel("weighted distance [dB]")
     second.set(ylabel="mean position error [m]", ylim=(0.0, None))
     for axes in (first, second):
         axes.set_xlabel("transmit power [dBm]")

@@ -30,10 +30,9 @@ from august_jax.app.plotting import new_figure
 from august_jax.config import Config, preset
 from august_jax.data import Sample, Target, fresh_samples, observed_anew, pack, prepare_targets, simulated_channel
 from august_jax.evaluation import threshold_db
-from august_jax.evaluation.bound import SAMPLES, spread_of, unit_information
+from august_jax.evaluation.bound import Bound
 from august_jax.evaluation.threshold import METRICS
 from august_jax.inference import known_craft
-from august_jax.physics import mean_position_error, tilt_bound
 
 DEEPER = 16.0
 POWER_DBM = {"smoke": 2.0, "laptop": 0.0, "paper": 35.0}
@@ -90,12 +89,13 @@ def _at(depth, config: Config, samples: Sample, targets: Sequence[Target], asked
     loud = replace(config, signal=replace(config.signal, power_dbm=(power, power)))
     snr_db = np.asarray(observed_anew(key, moved, loud).snr_db, float) - 60.0  # without the estimate's own error
     about = {"depth_m": depth, "range_m": float(np.median(range_m)), "snr_db": float(np.median(snr_db))}
-    bounds = _bounds(config, targets, moved, np.asarray(batch.predicted), snr_db)
-    every = {f"bound_{name}": float(np.mean(values)) for name, values in bounds.items()}
+    bounds = Bound(moved, np.asarray(batch.predicted), targets, config).each(snr_db)
+    assert bounds is not None
+    every = {name: float(np.mean(values)) for name, values in bounds.items()}
     rows: list[dict[str, Any]] = []
     for who in asked:
         mine = slots.at(slice(0, searched)) if who.scheme == "matched_field" else slots
-        own = {f"own_bound_{name}": float(np.mean(values[: mine.slots])) for name, values in bounds.items()}
+        own = {f"own_{name}": float(np.mean(values[: mine.slots])) for name, values in bounds.items()}
         told = prefixed(f"depth {depth:.1f} m, ", progress)
         rows.append({**about, **every, **own, **row(who, mine, config.target.half_wheelbase_m, told)})
     return rows
@@ -117,20 +117,6 @@ def _channels(config: Config, targets: Sequence[Target], samples: Sample) -> np.
 @partial(jax.jit, static_argnames="config")
 def _heard(body, config: Config, *poses):
     return jax.lax.map(lambda pose: pack(simulated_channel(config, body, *pose)), poses, batch_size=64)
-
-
-def _bounds(config, targets, samples, predicted, snr_db) -> dict[str, np.ndarray]:
-    """Of the first samples, each at its own SNR: of the position [m], and half the mean square of the tilt."""
-    order = np.argsort(samples.airframe[:SAMPLES], kind="stable")
-    unit = unit_information(samples.at(order), predicted[order], targets, config)
-    assert unit is not None
-    known = 10.0 ** (snr_db[order] / 10.0)[:, None, None] * unit
-    spread, normals = spread_of(config), np.asarray(samples.rotation[order, :, 2], float)
-    back = np.argsort(order)
-    return {
-        "m": np.asarray(mean_position_error(known, spread))[back],
-        "mde": 0.5 * np.asarray(tilt_bound(known, normals, spread))[back] ** 2,
-    }
 
 
 def boundary_m(numbers: Numbers, of: str) -> float | None:
