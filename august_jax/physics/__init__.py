@@ -33,6 +33,14 @@ from august_jax.physics.mom import Solution, interaction_matrix, self_term, solv
 from august_jax.physics.parameters import PARAMETERS, Parameters, moved, parameter_channel, rotation_from_vector
 from august_jax.physics.rcs import POLARISATIONS, dbsm, looking, polarisations, scattering_matrix, seen_from
 from august_jax.physics.refinement import Refined, channel_with_error, extrapolated
+from august_jax.physics.tmatrix import (
+    SphericalBasis,
+    degree_for,
+    regular_waves,
+    scattering_from_t_matrix,
+    spherical_basis,
+    t_matrix,
+)
 
 __all__ = [
     "PARAMETERS",
@@ -48,6 +56,7 @@ __all__ = [
     "Plane",
     "Refined",
     "Solution",
+    "SphericalBasis",
     "Spinning",
     "Spread",
     "Table",
@@ -59,6 +68,7 @@ __all__ = [
     "contrast",
     "coupling_matrix",
     "dbsm",
+    "degree_for",
     "dipole_fields",
     "doppler_shift",
     "doppler_spectrum",
@@ -81,7 +91,9 @@ __all__ = [
     "polarisations",
     "position_bound",
     "range_doppler",
+    "regular_waves",
     "rotation_from_vector",
+    "scattering_from_t_matrix",
     "scattering_matrix",
     "seen_from",
     "self_term",
@@ -91,7 +103,9 @@ __all__ = [
     "solve_dense",
     "solve_krylov",
     "spectrogram",
+    "spherical_basis",
     "stack_tables",
+    "t_matrix",
     "table_channel",
     "tabulate",
     "tabulate_bodies",
