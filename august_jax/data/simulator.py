@@ -24,9 +24,9 @@ from august_jax.physics import (
     Cells,
     PlanarArray,
     Table,
-    alike,
     body_channel,
     contrast,
+    evened,
     factor_bodies,
     factor_body,
     judge_contrast,
@@ -38,8 +38,6 @@ from august_jax.physics import (
 from august_jax.progress import Progress, silent
 from august_jax.scene.airframes import Airframe, resolve_airframe
 
-_UNEVEN = 1.4
-"""Bodies are padded to one shape, to compile once, unless the largest is this many times the mean."""
 _DENSE_POSES = 40
 """So many poses of one craft are solved densely, about a second each; for more its body is factored first."""
 _BEYOND_M = 0.25
@@ -295,9 +293,7 @@ def prepare_targets(config: Config, progress: Progress = silent) -> list[Target]
                 judge_contrast(body, np.asarray(contrast_of(config, permittivity, conductivity)))
     if config.data.solver == "table":
         tables = tabulate_targets(config, bodies, progress)
-    sizes = [np.prod(body.weights.shape) for body in bodies]
-    if bodies and max(sizes) < _UNEVEN * np.mean(sizes):
-        bodies = alike(bodies)
+    bodies = evened(bodies)
     most = max(len(airframe.surface[0]) for airframe in airframes)
     # Repeating the last triangle adds no area: it is never chosen.
     surfaces = [

@@ -1,7 +1,16 @@
 """The differentiable full-wave simulator: pure functions of arrays, e^{-jwt}, SI units."""
 
 from august_jax.physics.array import AntennaArray, PlanarArray, wavenumber
-from august_jax.physics.body import Body, alike, body_channel, cache_folder, factor_bodies, factor_body, judge_contrast
+from august_jax.physics.body import (
+    Body,
+    alike,
+    body_channel,
+    cache_folder,
+    evened,
+    factor_bodies,
+    factor_body,
+    judge_contrast,
+)
 from august_jax.physics.body.table import Table, stack_tables, table_channel
 from august_jax.physics.body.tabulate import tabulate, tabulate_bodies
 from august_jax.physics.cells import Cells
@@ -75,6 +84,7 @@ __all__ = [
     "dyadic_green",
     "environment_channel",
     "environment_sensing_channel",
+    "evened",
     "extrapolated",
     "factor_bodies",
     "factor_body",

@@ -97,6 +97,17 @@ class Body:
         return float(np.exp(weight @ np.log(np.maximum(self.errors, 1e-9)) / weight.sum()))
 
 
+_UNEVEN = 1.4
+"""So many times the mean size the largest body may be for padding to pay."""
+
+
+def evened(bodies: Sequence[Body]) -> list[Body]:
+    """:func:`alike` where the bodies are of about one size; left as they are where padding would cost more than the
+    compilations that it spares."""
+    sizes = [body.weights.size for body in bodies]
+    return alike(bodies) if bodies and max(sizes) < _UNEVEN * sum(sizes) / len(sizes) else list(bodies)
+
+
 def alike(bodies: Sequence[Body]) -> list[Body]:
     """The same bodies padded to one shape, so that what is compiled for one serves all.
 

@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from august_jax.physics.array import AntennaArray, PlanarArray, wavenumber
-from august_jax.physics.body.body import Body, _body_channel
+from august_jax.physics.body.body import Body, _body_channel, evened
 from august_jax.physics.body.cache import Factors, cached, lengthened, shortened
 from august_jax.physics.body.patch import Patch, covering, frames
 from august_jax.physics.body.table import Table, _table_channel, contrast_nodes
@@ -154,12 +154,14 @@ def tabulate_bodies(
             patch.sine,
         ]
     )
-    jobs = [(body, tone) for body in bodies for tone in range(len(tones))]
+    # of one shape they are compiled for once, which on an accelerator takes longer than all else
+    pairs = zip(bodies, evened(bodies), strict=True)
+    jobs = [(body, padded, tone) for body, padded in pairs for tone in range(len(tones))]
     found = []
-    for body, tone in jobs:
+    for body, padded, tone in jobs:
 
-        def make(body=body, tone=tone):
-            return _tabulated(body, tone, array, axes, outline, progress)
+        def make(padded=padded, tone=tone):
+            return _tabulated(padded, tone, array, axes, outline, progress)
 
         leaves = [np.asarray(leaf[tone]) for leaf in (body.weights, body.eigenvalues, body.points, body.rows)]
         key = (settings, np.asarray([tones[tone]]), *leaves, places, np.asarray(array.moments, np.float64))
