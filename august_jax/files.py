@@ -292,8 +292,9 @@ def _lock(lock: Path, wait: bool) -> int:
         except (OSError, AttributeError):  # no locks on this system, or on this file system
             return number
         if _is_at(number, lock):
-            os.ftruncate(number, 0)
-            os.pwrite(number, f"process {os.getpid()} on {socket.gethostname()}\n".encode(), 0)
+            with suppress(OSError):  # of a full disk: the lock holds all the same
+                os.ftruncate(number, 0)
+                os.pwrite(number, f"process {os.getpid()} on {socket.gethostname()}\n".encode(), 0)
             return number
         os.close(number)  # who held it has removed the file since
 

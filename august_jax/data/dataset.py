@@ -19,6 +19,7 @@ from august_jax.data.observe import as_observed, batch_of
 from august_jax.data.reference import reference_channels
 from august_jax.data.shards import ROW_SUMS, DataError, read_manifest, read_meta, row_sums
 from august_jax.data.simulator import Target, tables_of
+from august_jax.files import sha256_of
 
 Split = Literal["train", "validation", "test"]
 SPLITS: tuple[Split, ...] = get_args(Split)
@@ -40,6 +41,11 @@ class Dataset:
     def __init__(self, folder: str | Path):
         folder = Path(folder)
         manifest = read_manifest(folder)
+        if manifest.get("config", "") not in ("", _sum_of(folder / "config.yaml")):
+            raise DataError(
+                f"{folder / 'config.yaml'}: is not what the data were made with; run the `august simulate` that made "
+                "them once more, which writes it again"
+            )
         self.config = read(folder / "config.yaml")
         self._folder = folder
         self._shards: list[dict[str, np.ndarray]] = []
@@ -128,6 +134,10 @@ class Dataset:
                 taken = self._taken(number, name, places[mine] - self._starts[number])
                 result.setdefault(name, np.empty((len(places), *taken.shape[1:]), taken.dtype))[mine] = taken
         return Sample.of_columns(result)
+
+
+def _sum_of(path: Path) -> str:
+    return sha256_of(path) if path.exists() else "none"
 
 
 class TrainingBatches:

@@ -286,7 +286,7 @@ def _write_manifest(folder: Path, config: Config, digest: str, errors: dict[str,
         **_present(folder, digest),
     }
     write_text(folder / "config.yaml", to_yaml(config))
-    write_json(folder / "manifest.json", manifest)
+    write_json(folder / "manifest.json", manifest | {"config": sha256_of(folder / "config.yaml")})
 
 
 def _table_errors(config: Config, targets: Sequence[Target]) -> dict[str, Any]:

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from august_jax.arrays import Array
-from august_jax.files import read_npz
+from august_jax.files import DamagedFile, read_npz
 
 
 def read_weights(path: str | Path) -> dict[str, Float[np.ndarray, "..."]]:
@@ -23,7 +23,12 @@ def read_weights(path: str | Path) -> dict[str, Float[np.ndarray, "..."]]:
         FileNotFoundError: no such file.
         ValueError: the file is damaged (a ``files.DamagedFile``), or an array holds what is no finite number.
     """
-    arrays = read_npz(path)
+    try:
+        arrays = read_npz(path)
+    except DamagedFile as error:
+        raise DamagedFile(
+            f"{error}; train once more into its folder, which writes it again from the last checkpoint"
+        ) from None
     for name, leaf in arrays.items():
         if leaf.dtype.kind != "f":
             raise ValueError(f"{path}: {name} holds {leaf.dtype} and no real numbers; it is no file of weights")

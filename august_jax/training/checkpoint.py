@@ -8,8 +8,10 @@ SHA-256: what the disk has changed since is not gone on with.
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import logging
+import os
 import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -22,7 +24,7 @@ import numpy as np
 from flax import nnx
 
 from august_jax.config import Config
-from august_jax.files import naming, replacing
+from august_jax.files import replacing
 from august_jax.models import State, create
 from august_jax.models.weights import compare, flatten, read_weights
 from august_jax.progress import Progress
@@ -30,6 +32,9 @@ from august_jax.training.step import ParameterLayout, TrainState
 
 _KEEP = 2
 _TALKERS = ("asyncio", "absl")
+"""Loggers to which orbax's threads write pages about what is told in a line here."""
+_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EFBIG)
+"""What a disk may answer."""
 _SUM = "sha256"
 """Of all other arrays, as an array beside them."""
 
@@ -40,6 +45,9 @@ class Checkpoints:
     def __init__(self, folder: str | Path):
         from orbax.checkpoint import v1 as ocp  # here, because it takes seconds to import
 
+        self._levels = {name: logging.getLogger(name).level for name in _TALKERS}
+        for name in _TALKERS:
+            logging.getLogger(name).setLevel(logging.CRITICAL + 1)
         policies = ocp.training
         # The default policy drops a save while another is running; here the caller decides and every save is made.
         self._checkpointer = ocp.training.Checkpointer(
@@ -52,8 +60,15 @@ class Checkpoints:
     def __enter__(self) -> Checkpoints:
         return self
 
-    def __exit__(self, *_: object) -> None:
-        self._checkpointer.close()
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        try:
+            self._checkpointer.close()
+        except Exception:
+            if kind is None:
+                raise
+        if kind is None:  # else there may be more to come
+            for name, level in self._levels.items():
+                logging.getLogger(name).setLevel(level)
 
     @property
     def latest(self) -> int | None:
@@ -62,10 +77,20 @@ class Checkpoints:
         return None if found is None else found.step
 
     def save(self, state: TrainState) -> None:
-        """Write ``state`` under its own step number, and wait until it is on disk."""
+        """Write ``state`` under its own step number, and wait until it is on disk.
+
+        Raises:
+            OSError: the disk is full or cannot be written; names the folder.
+        """
         arrays: dict[str, Any] = flatten(_plain(state))
-        with naming(str(self._checkpointer.directory)):
+        try:
             self._checkpointer.save(int(state.step), arrays | {_SUM: _sum_of(arrays)}, force=True, overwrite=True)
+        except Exception as error:  # of many kinds, some of which hold another's words alone
+            text = f"{error!r}"
+            for number in _DISK:
+                if f"[Errno {number}]" in text or os.strerror(number) in text:
+                    raise OSError(number, os.strerror(number), str(self._checkpointer.directory)) from error
+            raise
 
     def check_room(self, state: TrainState, progress: Progress) -> None:
         """Say what the checkpoints of such a state will take, and refuse before the work where the disk has no room.
@@ -115,9 +140,6 @@ class Checkpoints:
     @contextmanager
     def _readable(self) -> Iterator[None]:
         """Whatever goes wrong within is told as a damaged checkpoint; orbax raises many kinds of errors for one."""
-        levels = {name: logging.getLogger(name).level for name in _TALKERS}
-        for name in levels:  # which report orbax's other readers one by one, some of them later
-            logging.getLogger(name).setLevel(logging.CRITICAL + 1)
         try:
             yield
         except Exception as error:
@@ -126,8 +148,6 @@ class Checkpoints:
                 f"{folder}: the checkpoint cannot be read ({type(error).__name__}); remove that folder, "
                 "and the run continues from the one before, or from the start"
             ) from error
-        for name, level in levels.items():
-            logging.getLogger(name).setLevel(level)
 
 
 def save_weights(path: str | Path, state: State, *, half: bool = False) -> None:

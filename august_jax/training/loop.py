@@ -24,7 +24,7 @@ from flax import nnx
 from august_jax import config as configuration
 from august_jax import streams
 from august_jax.config import Config
-from august_jax.files import occupying, rename, write_text
+from august_jax.files import DamagedFile, occupying, read_npz, rename, write_text
 from august_jax.models import State
 from august_jax.progress import Progress, silent
 from august_jax.training.checkpoint import Checkpoints, save_weights, warm_start
@@ -61,9 +61,10 @@ def train(
     The next batch is made in a thread while a step runs. Every ``save_every`` steps, and at the end, the state is
     saved, ``validate`` is called, whose numbers join the metrics, and ``draw`` draws these.
 
-    It continues from the folder's last checkpoint. Where there is none but a run's weights or metrics are, these and
-    its configuration are set aside as ``weights.previous.npz`` and so on, or ``weights.previous-2.npz`` where that name
-    is taken: nothing is ever written over.
+    It continues from the folder's last checkpoint, and writes weights that are gone or damaged again from it. Where
+    there is none but a run's weights or metrics are, these and its configuration are set aside as
+    ``weights.previous.npz`` and so on, or ``weights.previous-2.npz`` where that name is taken: nothing is ever written
+    over.
 
     Args:
         config: everything; written to the folder.
@@ -97,6 +98,8 @@ def train(
                 )
             state = checkpoints.restore(state)
             start = int(state.step)
+            if not _readable(out / weights_file):  # made of the same state
+                save_weights(out / weights_file, layout.arrays(np.asarray(state.ema)))
             progress(
                 f"continuing from step {start} of {settings.steps}"
                 + ("; other weights are for new runs, and this one goes on from its own" if weights else "")
@@ -190,6 +193,13 @@ def _check_same_run(config: Config, path: Path) -> None:
                 f"{name}: the run in {path.parent} was started with {before[name]!r}, now it is "
                 f"{value!r}; continue with the old value or choose another folder"
             )
+
+
+def _readable(path: Path) -> bool:
+    try:
+        return bool(read_npz(path))
+    except (FileNotFoundError, DamagedFile):
+        return False
 
 
 def _set_aside(out: Path, weights_file: str, progress: Progress) -> None:

@@ -26,7 +26,7 @@ from august_jax.app.machine import processor
 from august_jax.config import Config, override, preset
 from august_jax.data import open_stream
 from august_jax.evaluation import evaluate, validator
-from august_jax.files import DamagedFile, read_npz, replacing, write_text
+from august_jax.files import DamagedFile, read_json, read_npz, replacing, write_json
 from august_jax.models import Networks
 from august_jax.pipeline import load_networks
 from august_jax.progress import Progress, silent
@@ -237,6 +237,14 @@ def record(preset_name: str, digest: str, seconds: float) -> Record:
     return Record(preset_name, SEED, digest, commit, versions | {"python": platform.python_version()}, named, seconds)
 
 
+def _whole(weights: Path) -> bool:
+    """Whether they can be read; a training goes on from its checkpoint, and writes them anew."""
+    try:
+        return bool(read_npz(weights))
+    except (DamagedFile, FileNotFoundError):
+        return False
+
+
 class Campaign:
     """Everything of one preset on disk.
 
@@ -302,7 +310,7 @@ class Campaign:
             OutOfTime: the deadline has passed; the last checkpoint is kept.
         """
         config, out = self.config(run), self.folder(run)
-        if self.trained(run) < config.train.steps:
+        if self.trained(run) < config.train.steps or not _whole(out / "weights.npz"):
             self._in_time()
             self.progress(f"training {run.name}, {config.train.steps} steps")
             batches, held_out = open_stream(config, self.progress)
@@ -346,16 +354,20 @@ class Campaign:
             config = override(config, (f"evaluate.searched={self.scale.searched}",))
         path, digest = self._rows_path(run, searched), digest_of(config)
         if path.exists():
-            kept = json.loads(path.read_text())
-            self._check(kept["record"]["digest"], digest, path)
-            return kept["rows"]
+            try:
+                kept = read_json(path)
+                found, rows = kept["record"]["digest"], kept["rows"]
+            except (DamagedFile, KeyError, TypeError) as error:
+                raise OtherConfiguration(f"{path} cannot be read; remove it and evaluate again") from error
+            self._check(found, digest, path)
+            return rows
         networks = self.networks(run)
         self._in_time()
         began = time.monotonic()
         rows = evaluate(networks, config, seed=SEED, progress=lambda line: self.progress(f"{run.name}: {line}"))
         path.parent.mkdir(parents=True, exist_ok=True)
         of = record(self.preset, digest, time.monotonic() - began)
-        write_text(path, json.dumps({"record": asdict(of), "rows": rows}, indent=1) + "\n")
+        write_json(path, {"record": asdict(of), "rows": rows})
         jax.clear_caches()
         return rows
 

@@ -22,11 +22,13 @@ def interrupted(words, folder, seconds):
     """Status, stderr, and how long the end took, of a command that is interrupted after so long. Python's own start,
     before the command line is there, is left alone."""
     environment = os.environ | {"PYTHONUNBUFFERED": "1", "AUGUST_CHECK_TYPES": "0"}
-    code = "import august_jax.app.cli as cli, sys; print('here', file=sys.stderr, flush=True); sys.exit(cli.main())"
+    code = (
+        "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); "
+        "import august_jax.app.cli as cli; print('here', file=sys.stderr, flush=True); sys.exit(cli.main())"
+    )
     with subprocess.Popen(
         [sys.executable, "-c", code, *words.split()], cwd=folder, env=environment, stderr=subprocess.PIPE,
         stdout=subprocess.DEVNULL, text=True,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
     ) as process:  # fmt: skip
         assert process.stderr.readline() == "here\n"
         time.sleep(seconds)

@@ -19,7 +19,7 @@ from collections.abc import Sequence
 from august_jax.app.cli import demo, doctor, evaluate, export, rcs, reconstruct, simulate, track, train
 from august_jax.app.cli.clock import watched
 from august_jax.app.cli.interrupt import STATUS, end_at_once
-from august_jax.app.cli.messages import note, told
+from august_jax.app.cli.messages import hush, note, told
 from august_jax.app.cli.parser import alike, parse
 
 COMMANDS = {
@@ -52,6 +52,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             return 0
         if argv is None:
             end_at_once()
+            if not debug:
+                hush()
         with warnings.catch_warnings():
             warnings.showwarning = lambda message, *_: note(f"august: note: {message}")
             from august_jax.app.compiled import keep_compiled  # with NumPy, which --help does without

@@ -74,6 +74,12 @@ def note(text: str) -> None:
     heard(text)
 
 
+def hush() -> None:
+    """Leave out what libraries print of errors in callbacks of theirs: the command tells the error that counts."""
+    sys.excepthook = lambda *_: None
+    sys.unraisablehook = lambda *_: None
+
+
 def command_line(*words: str) -> str:
     """A line that a shell takes back as it is: ``august`` with these words, quoted where they need it."""
     return shlex.join(["august", *words])
