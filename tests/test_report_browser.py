@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +12,7 @@ from browser import BROWSER, DARK, found_in, picture
 from made_up_track import made_up_track
 from test_report import write
 
+from august_jax.config import preset
 from august_jax.evaluation import score_track
 from august_jax.scene import WorldCloud
 
@@ -23,8 +26,6 @@ HYPOTHESIS = {"craft": "hexa_of_long_name", "probability": 0.9, "position": [4.0
 @pytest.fixture(scope="module")
 def page(tmp_path_factory):
     """A report with all that reports have: several slots, a search of one, a bound, long words."""
-    from august_jax.config import preset
-
     track = made_up_track(4)
     scores = score_track(track, preset("smoke"), 0.25)
     search = {"craft": "hexa", "craft_probability": {"hexa": 1.0}, "explained": True, "probability": 0.4,
@@ -214,10 +215,29 @@ press("place", "own"); return [where, document.getElementById("leftLabel").textC
     assert "in 1 slot" in table and "1 slots" not in table and "bound" in table
 
 
+@pytest.mark.parametrize("kind", ["one slot", "a place alone"])
+def test_less_than_a_flight_with_clouds_is_shown_too(tmp_path, kind):
+    track = made_up_track(1 if kind == "one slot" else 3)
+    if kind == "a place alone":  # as schemes without a cloud answer
+        unknown = np.full((3, 1), np.nan)
+        track = replace(track, points=track.points.mean(axis=1, keepdims=True), point_permittivity=unknown,
+                        point_conductivity=unknown, normal_estimate=np.full((3, 3), np.nan))  # fmt: skip
+    scores = score_track(track, preset("smoke"), 0.25)
+    write(tmp_path / "report.html", track, scores)
+    found = found_in(
+        tmp_path / "report.html",
+        "const shown = (id) => document.getElementById(id).getClientRects().length > 0;"
+        "return { title: document.title, text: document.body.innerText, flight: shown('flightCard'), map: shown('map'),"
+        " configuration: shown('configurationCard'), wide: document.documentElement.scrollWidth };",
+        **PHONE,
+    )
+    assert found["title"] == "made up" and "NaN" not in found["text"] and "undefined" not in found["text"]
+    assert found["flight"] == found["map"] == (kind != "one slot") and found["wide"] == PHONE["width"]
+    assert not found["configuration"]  # none was given
+
+
 def test_pictures_are_drawn(page, tmp_path):
     """To look at where ``AUGUST_SCREENSHOTS`` names a folder."""
-    from pathlib import Path
-
     folder = Path(os.environ.get("AUGUST_SCREENSHOTS", tmp_path))
     folder.mkdir(parents=True, exist_ok=True)
     looks = {"desk": (1280, 2600, ()), "telephone": (390, 3600, ()), "dark": (1280, 2600, (DARK,))}

@@ -36,8 +36,8 @@ _ROOM_BYTES = 2 * 1024**3
 """For everything but data sets: factored bodies in the cache, runs, results."""
 
 
-_MEMORY_BYTES = 3 * 1024**3 // 2
-"""A demo with a search of one slot among two drones holds 1.4 GB at most."""
+_MEMORY_BYTES, _LEAST_BYTES = 5 * 1024**3 // 2, 5 * 1024**3 // 4
+"""A demo with a search among two drones, whose tables it makes, holds 2.2 GiB at most; one without holds 1.2."""
 _NVIDIA = ("/proc/driver/nvidia/version", "/dev/nvidia0")
 
 
@@ -115,9 +115,12 @@ def _memory() -> tuple[bool | None, str]:
     found = memory()
     if found is None:
         return None, "the system does not tell"
-    said = f"{found.free / 1024**3:.1f} GiB free of {found.total / 1024**3:.1f}; wanted {_MEMORY_BYTES / 1024**3:.1f}"
+    wanted, least = _MEMORY_BYTES / 1024**3, _LEAST_BYTES / 1024**3
+    said = f"{found.free / 1024**3:.1f} GiB free of {found.total / 1024**3:.1f}; wanted {wanted:.1f}"
+    if found.free < _LEAST_BYTES:
+        return False, said + f", {least:.1f} at the least: end other programs, or take a machine with more"
     if found.free < _MEMORY_BYTES:
-        return False, said + ": end other programs, or take a machine with more; --search 0 takes less"
+        return None, said + f": end other programs, or leave the search out (--search 0), which works with {least:.1f}"
     return True, said + "; august train --dry-run says what a configuration takes"
 
 

@@ -109,7 +109,10 @@ def test_the_room_that_data_need_is_said(tmp_path, monkeypatch):
 def test_too_little_memory_is_a_fault_with_a_way_out(monkeypatch):
     monkeypatch.setattr(doctor, "memory", lambda: Memory(4 * 1024**3, 512 * 1024**2))
     passed, detail = doctor._memory()
-    assert passed is False and "0.5 GiB free of 4.0; wanted 1.5" in detail and "--search 0" in detail
+    assert passed is False and "0.5 GiB free of 4.0; wanted 2.5, 1.2 at the least: end other programs" in detail
+    monkeypatch.setattr(doctor, "memory", lambda: Memory(4 * 1024**3, 2 * 1024**3))
+    passed, detail = doctor._memory()
+    assert passed is None and "--search 0" in detail
     monkeypatch.setattr(doctor, "memory", lambda: None)
     assert doctor._memory() == (None, "the system does not tell")
 
