@@ -121,7 +121,6 @@ def sensed(
         ("first predictions", f"uniform within {config.region.threshold_m:g} m along each axis, as of a detection"),
         *([("known drones", ", ".join(search.names))] if search is not None else []),
         ("seed", str(args.seed)),
-        ("command", command_line(*args.words)),
         ("computed in", f"{seconds:.0f} s"),
     ]  # fmt: skip
     return leave(

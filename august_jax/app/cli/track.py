@@ -133,7 +133,6 @@ def _left(
         ("detections", f"uniform within {config.region.threshold_m:g} m along each axis: the first three slots, and "
                        "after a loss"),
         ("seed", str(args.seed)),
-        ("command", command_line(*args.words)),
         ("computed in", f"{seconds:.0f} s"),
     ]  # fmt: skip
     return leave(
