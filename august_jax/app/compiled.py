@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import os
 import sys
+import zlib
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -22,6 +23,9 @@ _LEAST_S = 0.1
 """What compiles faster is not kept: reading it back takes as long."""
 _MOST_BYTES = 1 << 30
 _PART = 0.8
+_STAMP = "looked-at"
+_ZSTD = b"\x28\xb5\x2f\xfd"
+"""How what JAX packs by zstandard begins, which only newer versions of Python unpack; else it packs by zlib."""
 _YES = ("y", "yes", "t", "true", "on", "1")
 """What JAX takes for yes."""
 
@@ -49,6 +53,7 @@ def keep_compiled() -> Path | None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         _make_room(folder)
+        _drop_torn(folder)
     except OSError:
         return None
     if not os.access(folder, os.W_OK):
@@ -75,3 +80,24 @@ def _make_room(folder: Path) -> None:
         total -= size
         if total <= _PART * _MOST_BYTES:
             return
+
+
+def _drop_torn(folder: Path) -> None:
+    """Of the programs written since the last look, those that a killed process left half-written go.
+
+    JAX writes in place, warns of what it cannot read in every later process, and does not write it anew.
+    """
+    stamp = folder / _STAMP
+    since = stamp.stat().st_mtime_ns if stamp.exists() else 0
+    stamp.touch()  # what is written from now on is looked at the next time
+    for path in folder.glob("*-cache"):
+        try:
+            if path.stat().st_mtime_ns < since:
+                continue
+            content = path.read_bytes()
+            if not content.startswith(_ZSTD):
+                zlib.decompress(content)
+        except zlib.error:
+            path.unlink(missing_ok=True)
+        except FileNotFoundError:  # another process makes room
+            continue

@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+import zlib
 
 import pytest
 
@@ -60,3 +61,21 @@ def test_the_oldest_programs_make_room(tmp_path, monkeypatch):
     assert {path.name for path in tmp_path.iterdir()} == set("cdef")
     compiled._make_room(tmp_path)
     assert len(list(tmp_path.iterdir())) == 4
+
+
+def test_a_program_that_a_kill_left_half_written_goes(tmp_path):
+    whole = zlib.compress(os.urandom(3000))
+    for name, content in {
+        "one-cache": whole,
+        "torn-cache": whole[:1000],
+        "empty-cache": b"",
+        "one-atime": b"1",
+    }.items():
+        (tmp_path / name).write_bytes(content)
+    compiled._drop_torn(tmp_path)
+    assert {path.name for path in tmp_path.iterdir()} == {"one-cache", "one-atime", "looked-at"}
+    old = tmp_path / "old-cache"  # which was there at the last look is not read again
+    old.write_bytes(b"torn")
+    os.utime(old, (0, 0))
+    compiled._drop_torn(tmp_path)
+    assert old.exists()

@@ -29,13 +29,13 @@ def faults(found: list[dict]) -> list[str]:
 
 
 def test_a_few_kills_leave_nothing_half_written():
-    found = kills("simulate", "train", "track", "reproduce", "cache", "--most", "5")
+    found = kills("simulate", "train", "track", "reproduce", "cache", "--most", "4")
     assert not faults(found)
-    assert len(found) == 25 and sum(each["killed"] for each in found) >= 20
+    assert len(found) == 20 and sum(each["killed"] for each in found) >= 16
 
 
 def test_the_harness_finds_a_writer_that_is_not_atomic():
-    found = kills("simulate", "track", "cache", "--most", "8", "--plain")
+    found = kills("simulate", "cache", "--most", "8", "--plain")
     assert len(faults(found)) > 0.5 * len(found), found
 
 

@@ -13,12 +13,12 @@ pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="the harness rea
 
 def test_a_second_process_is_refused_by_number_and_the_first_ends_well():
     done = subprocess.run(
-        [sys.executable, HERE / "together.py", "simulate", "train", "cache", "reproduce"],
+        [sys.executable, HERE / "together.py", "simulate", "train", "cache"],
         capture_output=True, text=True, cwd=HERE.parents[1],
     )  # fmt: skip
     assert done.returncode == 0, done.stderr[-2000:]
     found = {each["work"]: each for each in map(json.loads, done.stdout.splitlines())}
     assert not [each for each in found.values() if each["fault"]]
-    for name in ("simulate", "train", "reproduce"):
+    for name in ("simulate", "train"):
         assert f"is being written by process {found[name]['first']} on " in found[name]["second"]
     assert found["cache"]["second"] is None
