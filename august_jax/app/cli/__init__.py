@@ -1,4 +1,5 @@
-"""The command line: ``august doctor | demo | simulate | train | evaluate | reconstruct | track | rcs | export``.
+"""The command line: ``august doctor | demo | simulate | train | evaluate | reconstruct | track | rcs |
+doppler | export``.
 
 Here arguments become a configuration and a call, and results become lines and files; what is computed lives elsewhere.
 Results go to stdout (as JSON with ``--json``), progress to stderr. The exit status is 0; or 2 with at most six lines on
@@ -16,7 +17,7 @@ import sys
 import warnings
 from collections.abc import Sequence
 
-from august_jax.app.cli import demo, doctor, evaluate, export, rcs, reconstruct, simulate, track, train
+from august_jax.app.cli import demo, doctor, doppler, evaluate, export, rcs, reconstruct, simulate, track, train
 from august_jax.app.cli.clock import watched
 from august_jax.app.cli.interrupt import STATUS, end_at_once
 from august_jax.app.cli.messages import hush, note, told
@@ -31,6 +32,7 @@ COMMANDS = {
     "reconstruct": reconstruct.COMMAND,
     "track": track.COMMAND,
     "rcs": rcs.COMMAND,
+    "doppler": doppler.COMMAND,
     "export": export.COMMAND,
 }
 

@@ -17,7 +17,7 @@ from august_jax.config import Bounds
 
 _ASSIGNMENT = re.compile(r"[a-z_]\w*(\.\w+)*=")
 _SIGNED = ("--azimuth", "--elevation", "--forward", "--index", "--pitch", "--position", "--roll", "--snr", "--transmit",
-           "--up", "--yaw")  # fmt: skip
+           "--rate", "--up", "--velocity", "--yaw")  # fmt: skip
 """Options whose value may begin with a minus sign."""
 
 
