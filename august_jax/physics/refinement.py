@@ -10,9 +10,9 @@ H2 is taken, and its error to be
 
     1.5 sqrt(||H2 - H1||^2 + 3 ||rest||^2),
 
-how much the order matters, and how unevenly the values fall. Against Mie's series (27 triples of sizes and spheres of
-ka 0.4 to 1.3, permittivity 2 to 4, 5 to 11 cells across) the true error is 0.1 to 0.8 of that, and 0.2 to 0.9 of that
-of the finest cells wherever these err by more than 0.3 %.
+how much the order matters, and how unevenly the values fall. Against Mie's series (nine spheres of ka 0.4 to 1.3
+and permittivity 2 to 4, six triples of 4 to 11 cells across) the true error is 0.07 to 0.81 of that, and 0.2 to 1.1 of
+that of the finest cells where ka is 0.8 or more, by the median half; the smallest spheres err by 0.3 % and less.
 """
 
 from __future__ import annotations
