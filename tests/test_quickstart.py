@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 import venv
@@ -50,12 +51,21 @@ def test_the_notebook_runs_from_top_to_bottom(capsys, tmp_path, monkeypatch):
     assert len(names["figure"].axes) == 3
 
 
+def elsewhere() -> dict[str, str]:
+    """The environment of a process that does not find this checkout."""
+    return {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+
+
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory):
-    """Built from the checkout, offline where the tools are here."""
+    """Built from a copy, in which nothing is left over from other builds."""
     folder = tmp_path_factory.mktemp("wheel")
-    words = [sys.executable, "-m", "pip", "wheel", "--no-deps", "-q", "-w", str(folder), str(ROOT)]
-    built = subprocess.run(words, capture_output=True, text=True)
+    source = folder / "source"
+    shutil.copytree(ROOT / "august_jax", source / "august_jax", ignore=shutil.ignore_patterns("__pycache__"))
+    for name in ("pyproject.toml", "README.md", "LICENSE"):
+        shutil.copy(ROOT / name, source)
+    words = [sys.executable, "-m", "pip", "wheel", "--no-deps", "-q", "-w", str(folder), str(source)]
+    built = subprocess.run(words, capture_output=True, text=True, env=elsewhere())
     if built.returncode:
         pytest.skip(f"no wheel can be built here: {built.stderr.strip().splitlines()[-1:]}")
     return next(folder.glob("*.whl"))
@@ -79,17 +89,18 @@ def test_the_wheel_demos_in_an_empty_folder(wheel, tmp_path):
     empty.mkdir()
     venv.create(place, with_pip=True, symlinks=True)
     python = place / "bin" / "python"
-    subprocess.run([python, "-m", "pip", "install", "-q", "--no-deps", str(wheel)], check=True, cwd=empty)
+    subprocess.run(
+        [python, "-m", "pip", "install", "-q", "--no-deps", str(wheel)], check=True, cwd=empty, env=elsewhere()
+    )
     site = next((place / "lib").glob("python*/site-packages"))
     borrowed = [each for each in sys.path if each.endswith("site-packages")]
     (site / "borrowed.pth").write_text("\n".join(borrowed) + "\n")
-    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
     words = [place / "bin" / "august", "demo", "--slots", "2", "--search", "0", "--json"]
-    run = subprocess.run(words, cwd=empty, env=environment, capture_output=True, text=True)
+    run = subprocess.run(words, cwd=empty, env=elsewhere(), capture_output=True, text=True)
     assert run.returncode == 0, run.stderr
     result = json.loads(run.stdout)
     where = subprocess.run(
-        [python, "-c", "import august_jax; print(august_jax.__file__)"], cwd=empty, env=environment,
+        [python, "-c", "import august_jax; print(august_jax.__file__)"], cwd=empty, env=elsewhere(),
         capture_output=True, text=True, check=True,
     )  # fmt: skip
     assert Path(where.stdout.strip()).is_relative_to(place)

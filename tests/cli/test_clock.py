@@ -54,5 +54,21 @@ def test_a_command_remembers_how_long_it_took_and_says_so(monkeypatch, tmp_path)
     assert "left" not in run()
 
 
+def test_a_terminal_keeps_one_line_that_goes_before_the_next(monkeypatch, tmp_path):
+    monkeypatch.setenv("AUGUST_CACHE", str(tmp_path))
+    monkeypatch.setattr(clock, "_SILENT_S", 0.2)
+    monkeypatch.setattr(clock, "_AGAIN_S", {True: 0.1, False: 9.0})
+    told = io.StringIO()
+    told.isatty = lambda: True
+    monkeypatch.setattr("sys.stderr", told)
+    with clock.watched("demo"):
+        note("computing")
+        time.sleep(1.6)
+        note("done")
+    lines = told.getvalue().split("\n")
+    assert lines[0] == "computing" and lines[1].endswith("\r\x1b[Kdone") and lines[2:] == [""]
+    assert "\r  ... " in lines[1]
+
+
 def test_seconds_and_minutes():
     assert [told_s(each) for each in (0.4, 99.0, 185.0)] == ["0 s", "99 s", "3:05 min"]

@@ -39,7 +39,7 @@ from august_jax.models import create
 from august_jax.scene import load_airframe
 from august_jax.training.checkpoint import load_weights, save_weights
 
-_PATIENCE_S = 20.0
+_PATIENCE_S = 60.0
 """No input of a few kilobytes may take longer, however busy the machine."""
 _UNFORESEEN = re.compile(r"unexpected [A-Z]\w+:|Traceback")
 """What the command line says of an error that nobody foresaw."""

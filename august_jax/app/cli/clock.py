@@ -40,7 +40,7 @@ class Clock:
         self._begun = self._at
         self._passed: list[Stage] = []
         self._matched = 0
-        self.lock = threading.Lock()
+        self.shown = False
 
     def heard(self, line: str, now: float | None = None) -> None:
         """A line of progress was written."""
@@ -87,6 +87,13 @@ def told_s(seconds: float) -> str:
 _running: Clock | None = None
 
 
+def wipe() -> None:
+    """Take the line that a terminal shows of the clock away, before another one is written."""
+    if _running is not None and _running.shown:
+        _running.shown = False
+        print("\r\x1b[K", end="", file=sys.stderr, flush=True)
+
+
 def heard(line: str) -> None:
     """A line of progress was written; told to the clock that runs, if one does."""
     if _running is not None:
@@ -113,7 +120,8 @@ def watched(name: str) -> Iterator[None]:
             if clock.silent_s(now) > (_SILENT_S if live else _AGAIN_S[False]) and now - spoken >= _AGAIN_S[live]:
                 spoken = now
                 text = f"  ... {clock.said(now)}"
-                print(f"\r{text}\x1b[K" if live else text, end="\r" if live else "\n", file=sys.stderr, flush=True)
+                clock.shown = live
+                print(f"\r{text}\x1b[K" if live else text, end="" if live else "\n", file=sys.stderr, flush=True)
 
     threading.Thread(target=speak, daemon=True).start()
     try:
@@ -123,6 +131,7 @@ def watched(name: str) -> Iterator[None]:
             _keep({**{each: kept[each] for each in list(kept)[-_MOST:] if each != name}, name: clock.stages()})
     finally:
         done.set()
+        wipe()
         _running = None
 
 

@@ -11,7 +11,7 @@ import textwrap
 from collections.abc import Collection, Sequence
 from typing import Any
 
-from august_jax.app.cli.clock import heard
+from august_jax.app.cli.clock import heard, wipe
 from august_jax.app.devices import describe_backend_error
 
 _MOST_LINES = 6
@@ -65,11 +65,13 @@ class UsageError(Exception):
 
 def say(args: argparse.Namespace, text: str) -> None:
     """A line for the reader: on stdout, or on stderr where stdout is for JSON."""
+    wipe()
     print(text, file=sys.stderr if args.json else sys.stdout, flush=True)
 
 
 def note(text: str) -> None:
     """A line of progress, on stderr."""
+    wipe()
     print(text, file=sys.stderr, flush=True)
     heard(text)
 
