@@ -17,6 +17,9 @@ def test_nothing_is_promised_before_the_first_time():
     fresh = Clock(now=0.0)
     fresh.heard("compiling", 1.0)
     assert fresh.left_s(20.0) is None and fresh.said(20.0) == "20 s so far"
+    told = Clock(now=0.0, first="two minutes")
+    assert told.said(20.0) == "20 s so far; for the first time it takes two minutes"
+    assert "first time" not in Clock(USUAL, now=0.0, first="two minutes").said(1.0)
 
 
 def test_time_left_is_what_the_last_time_took_from_here():

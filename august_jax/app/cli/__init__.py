@@ -61,7 +61,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             from august_jax.app.compiled import keep_compiled  # with NumPy, which --help does without
 
             keep_compiled()
-            with watched(alike(args)):
+            with watched(alike(args), COMMANDS[args.command].first):
                 result = COMMANDS[args.command].run(args)
         if args.json:
             print(json.dumps(result, allow_nan=False))

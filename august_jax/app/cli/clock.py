@@ -1,8 +1,8 @@
 """How long it takes: while a command is silent, a line says how long it has been at what it is at, and what is left.
 
 What is left is known from the last time that the same command was run to its end on this machine: how long it stayed at
-each of its lines of progress is kept beside the factored bodies. Before, nothing is promised. Work that tells its own
-time left (training, data sets, evaluations) is not silent for long, and so is not spoken for.
+each of its lines of progress is kept beside the factored bodies. Before, the command says in words what to expect. Work
+that tells its own time left (training, data sets, evaluations) is not silent for long, and so is not spoken for.
 """
 
 from __future__ import annotations
@@ -32,10 +32,11 @@ class Clock:
     Args:
         usual: its stages when it last ran to its end.
         now: [s], of a clock that only goes forward.
+        first: how long it takes where it never ran before, in words.
     """
 
-    def __init__(self, usual: Sequence[Stage] = (), now: float | None = None):
-        self._usual = list(usual)
+    def __init__(self, usual: Sequence[Stage] = (), now: float | None = None, first: str = ""):
+        self._usual, self._first = list(usual), first
         self._at, self._line = time.monotonic() if now is None else now, ""
         self._begun = self._at
         self._passed: list[Stage] = []
@@ -66,7 +67,9 @@ class Clock:
         now = time.monotonic() if now is None else now
         left = self.left_s(now)
         so_far = f"{told_s(now - self._begun)} so far"
-        return so_far + (", about " + told_s(left) + " left by the last time" if left is not None else "")
+        if left is not None:
+            return f"{so_far}, about {told_s(left)} left by the last time"
+        return f"{so_far}; for the first time it takes {self._first}" if self._first and not self._usual else so_far
 
     def stages(self, now: float | None = None) -> list[Stage]:
         """All stages, the present one among them."""
@@ -101,15 +104,16 @@ def heard(line: str) -> None:
 
 
 @contextmanager
-def watched(name: str) -> Iterator[None]:
+def watched(name: str, first: str = "") -> Iterator[None]:
     """Speak while the block is silent, and remember how long it took.
 
     Args:
         name: of what is alike in how long it takes: the command and what it was asked, without places.
+        first: how long it takes where it never ran before, in words.
     """
     global _running
     kept = _kept()
-    clock, done = Clock(kept.get(name, ())), threading.Event()
+    clock, done = Clock(kept.get(name, ()), first=first), threading.Event()
     _running = clock
     live = sys.stderr.isatty()
 

@@ -62,4 +62,10 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
     )
 
 
-COMMAND = Command("fly a short track and reconstruct it with the shipped weights", _arguments, _run, out="august_demo")
+COMMAND = Command(
+    "fly a short track and reconstruct it with the shipped weights",
+    _arguments,
+    _run,
+    out="august_demo",
+    first="some two minutes on two quiet CPU cores",
+)

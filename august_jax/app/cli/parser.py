@@ -49,6 +49,7 @@ class Command(NamedTuple):
         configured: whether it takes ``--preset`` and overrides.
         out: where it writes unless told otherwise, for the help.
         out_help: what ``--out`` is.
+        first: how long it takes for the first time, in words.
     """
 
     summary: str
@@ -57,6 +58,7 @@ class Command(NamedTuple):
     configured: bool = True
     out: str = "."
     out_help: str = "where to write"
+    first: str = ""
 
 
 class _Formatter(argparse.RawDescriptionHelpFormatter):

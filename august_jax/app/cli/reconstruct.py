@@ -69,4 +69,10 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
     )
 
 
-COMMAND = Command("your own drone from a mesh file, at one pose", _arguments, _run, out="august_reconstruct")
+COMMAND = Command(
+    "your own drone from a mesh file, at one pose",
+    _arguments,
+    _run,
+    out="august_reconstruct",
+    first="about a minute on two quiet CPU cores, some minutes with a search",
+)

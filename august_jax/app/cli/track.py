@@ -339,5 +339,9 @@ def _summary_table(rows: list[dict[str, Any]]) -> str:
 
 
 COMMAND = Command(
-    "follow a flight slot by slot, by what explains its echoes or by the networks", _arguments, _run, out="august_track"
+    "follow a flight slot by slot, by what explains its echoes or by the networks",
+    _arguments,
+    _run,
+    out="august_track",
+    first="some minutes on two quiet CPU cores",
 )
