@@ -84,3 +84,17 @@ def test_evaluation_curves_leave_out_what_is_not_defined(tmp_path, drawn):
         {august: [-20.0, -20.0]},
         {august: [-30.0, -30.0]},
     ]
+
+
+def test_one_snr_draws_lines_across_at_their_heights(tmp_path, drawn):
+    none = {"mpe_m": None, "mde": None, "wd_db": None, "mcd_db": None, "count": 8, "bound_m": 0.02, "bound_mde": 0.001}
+    rows = [
+        {"scheme": scheme, "snr_db": 20.0, **none, "mpe_m": error}
+        for scheme, error in (("august", 0.1), ("prediction", 0.48))
+    ]
+    plotting.evaluation_curves(rows, tmp_path / "evaluation.png", title="made up")
+    lines = {line.get_label(): line for line in drawn[0].axes[0].lines}
+    heights = {SCHEMES["august"].label: 0.1, SCHEMES["prediction"].label: 0.48, "bound": 0.02}
+    assert {label: set(line.get_ydata()) for label, line in lines.items()} == {k: {v} for k, v in heights.items()}
+    for line in lines.values():
+        assert line.get_xdata()[0] < 20.0 < line.get_xdata()[-1]
