@@ -12,6 +12,8 @@ import jax
 from august_jax import UNFUSED_SUMS, pipeline
 from august_jax.app import cli, doctor, sums
 from august_jax.app.machine import Memory, memory
+from august_jax.config import preset
+from august_jax.data import bytes_of
 from august_jax.tracking.predictors import lstm
 
 
@@ -103,7 +105,8 @@ def test_the_room_that_data_need_is_said(tmp_path, monkeypatch):
     monkeypatch.setattr(doctor.shutil, "disk_usage", lambda place: SimpleNamespace(free=free))
     passed, detail = doctor._disk(tmp_path / "new" / "folder")
     assert passed and detail.startswith("5.0 GiB free; wanted 2")
-    assert "laptop 5.3 (more than there is)" in detail and "paper 2.1" in detail
+    laptop = bytes_of(preset("laptop")) / 1024**3
+    assert laptop > 5.0 and f"laptop {laptop:.1f} (more than there is)" in detail and "paper 2.1" in detail
 
 
 def test_too_little_memory_is_a_fault_with_a_way_out(monkeypatch):
