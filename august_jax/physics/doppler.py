@@ -144,8 +144,9 @@ def slow_time_channels(
         total = _moved(hull, array, receiver, jnp.broadcast_to(turn, (len(places), 3, 3)), places, contrast)
     for rotor in rotors:
         # whole turns are taken out first, in double precision where that can be
-        whole = ops.asarray(times_s) * rotor.rate_hz
-        angles = jnp.asarray(2.0 * np.pi * (whole - ops.floor(whole)) + rotor.phase_rad, jnp.float32)
+        sure = np if is_concrete((times_s, rotor.rate_hz)) else jnp
+        whole = sure.asarray(times_s) * rotor.rate_hz
+        angles = jnp.asarray(2.0 * np.pi * (whole - sure.floor(whole)) + rotor.phase_rad, jnp.float32)
         turns = jnp.einsum("ab,tbc->tac", turn, about_z(angles))
         total = total + _moved(
             rotor.body, array, receiver, turns, places + turn @ jnp.asarray(rotor.centre_m, jnp.float32), contrast

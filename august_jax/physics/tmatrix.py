@@ -45,6 +45,8 @@ from august_jax.physics.checks import (
 from august_jax.physics.mom import interaction_matrix, solve_dense, weighted_fields
 from august_jax.physics.rcs import polarisations
 
+_HIGHEST = 80
+
 
 class SphericalBasis(NamedTuple):
     """What the rows and columns of a T-matrix are (n,) each, n = 2 L (L + 2).
@@ -64,10 +66,10 @@ def spherical_basis(degree: int) -> SphericalBasis:
     """The basis up to a degree L.
 
     Raises:
-        ValueError: a degree below 1.
+        ValueError: a degree below 1, or above 80, where factorials leave double precision.
     """
-    if degree < 1:
-        raise ValueError(f"degree: got {degree}; give a whole number from 1")
+    if not 1 <= degree <= _HIGHEST:
+        raise ValueError(f"degree: got {degree}; give a whole number from 1 to {_HIGHEST}")
     rows = [(l, m, p) for l in range(1, degree + 1) for m in range(-l, l + 1) for p in (1, 0)]  # noqa: E741
     return SphericalBasis(*np.array(rows).T)
 
@@ -115,8 +117,8 @@ def t_matrix(
         (n, n), or (F, n, n) for a body of several tones; complex128 from single precision.
 
     Raises:
-        ValueError: a degree below 1, a contrast of another shape or traced, a frequency where none belongs or none
-            where one does, malformed cells.
+        ValueError: a degree that is none of 1 to 80, a contrast of another shape or traced, a frequency where none
+            belongs or none where one does, malformed cells.
 
     Warns as :func:`august_jax.physics.scattering_matrix` does.
     """

@@ -10,7 +10,7 @@ from test_experiments import assert_ink
 from august_jax.app import cli
 from august_jax.config import preset
 from august_jax.data.simulator import lattice_of
-from august_jax.physics import contrast, dbsm, looking, scattering_matrix
+from august_jax.physics import contrast, dbsm, looking, scattering_from_t_matrix, scattering_matrix
 from august_jax.scene import procedural_airframe
 
 COARSE = ("--preset", "smoke", "target.cell_m=0.05")
@@ -68,6 +68,21 @@ def test_the_summary_is_of_the_directions_by_solid_angle(found):
     assert row["mean_dbsm"] == pytest.approx(mean, abs=0.01)
 
 
+@pytest.mark.filterwarnings("ignore:cells.volumes")
+def test_the_t_matrix_beside_scatters_as_the_cross_sections_say(tmp_path):
+    words = ["rcs", "quad_x", *COARSE, *LOOKS, "--frequency", "0.9,1.0", "--half-wheelbase", "0.06", "--t-matrix"]
+    assert cli.main([*words, "target.cell_m=0.02", "--out", str(tmp_path)]) == 0
+    stored, matrices = np.load(tmp_path / "rcs.npz"), np.load(tmp_path / "tmatrix.npz")
+    for tone, frequency in enumerate(stored["frequency_hz"]):
+        found = scattering_from_t_matrix(
+            matrices["tmatrix"][tone], looking(np.array([90.0]), -30.0), frequency_hz=frequency
+        )
+        np.testing.assert_allclose(found[0], stored["scattering_m"][0, 3, tone], atol=1e-3 * np.abs(found).max())
+    matlab = scipy.io.loadmat(tmp_path / "tmatrix.mat", squeeze_me=True)
+    np.testing.assert_array_equal(matlab["tmatrix"], matrices["tmatrix"])
+    assert len(matrices["l"]) == matrices["tmatrix"].shape[-1] == 2 * matrices["l"].max() * (matrices["l"].max() + 2)
+
+
 @pytest.mark.parametrize(
     "words, told",
     [
@@ -80,6 +95,7 @@ def test_the_summary_is_of_the_directions_by_solid_angle(found):
         (("quad_x", "--elevation", "0:100:5"), "--elevation: 100 must lie in -90 to 90 degrees"),
         (("quad_x", "--azimuth", "-180:180:0.01"), "directions at 1 frequencies are more than 200000"),
         (("quad_x", "--frequency", "3,2"), "--frequency: '3,2': give each frequency once, the lowest first"),
+        (("quad_x", "--frequency", "20", "--t-matrix"), "--t-matrix: 1 matrices of degree"),
         (("quad_x", "--frequency", "0"), "--frequency: 0 must lie in 0.1 to 100 GHz"),
     ],
 )

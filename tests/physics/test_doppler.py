@@ -1,5 +1,6 @@
 """Slow time: signs by bodies at constant speed, a point on a circle by Bessel's functions, blades by their symmetry."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -136,6 +137,24 @@ def test_a_rotor_stands_where_the_craft_carries_it(hull, rotor):
     wanted = np.asarray(body_channel(hull, array, rotation, there, CHI))
     wanted = wanted + np.asarray(body_channel(body, array, rotation @ turn, there + rotation @ centre, CHI))
     assert np.linalg.norm(found[0] - wanted) < 1e-4 * np.linalg.norm(wanted)
+
+
+def test_channels_are_differentiable_in_speed_and_rate(hull, speck):
+    """Against differences over what the phases turn by."""
+
+    def heard(velocity, rate):
+        spinning = [Spinning(speck, (0.0, 0.0, 0.0), rate, 0.3)]
+        series = slow_time_channels(hull, spinning, FAR, jnp.eye(3), jnp.asarray(PLACE), jnp.array([0.01]), CHI,
+                                    velocity_m_s=velocity)  # fmt: skip
+        return 1e7 * jnp.real(series[0, 0, 0])
+
+    start = (jnp.array([1.0, -5.0, 0.5]), 7.0)
+    by_velocity, by_rate = jax.jit(jax.grad(heard, (0, 1)))(*start)
+    step = jnp.array([0.0, 0.05, 0.0])  # [m/s], a thousandth of a wavelength
+    slope = (heard(start[0] + step, start[1]) - heard(start[0] - step, start[1])) / 0.1
+    np.testing.assert_allclose(by_velocity[1], slope, rtol=0.02)
+    slope = (heard(start[0], 7.1) - heard(start[0], 6.9)) / 0.2
+    np.testing.assert_allclose(by_rate, slope, rtol=0.02)
 
 
 def test_scattering_between_bodies_is_what_is_left_out(hull, rotor):

@@ -86,10 +86,10 @@ def test_it_scatters_plane_waves_as_the_craft_itself(cells, of):
     wanted = np.asarray(scattering_matrix(craft, receive, CHI, transmit=transmit, **arguments))
     matrix = t_matrix(craft, CHI, degree, **arguments)
     found = scattering_from_t_matrix(matrix, receive, transmit, frequency_hz=CRAFT_HZ)
-    assert np.linalg.norm(found - wanted) < 2e-3 * np.linalg.norm(wanted)
+    assert np.linalg.norm(found - wanted) < 1e-4 * np.linalg.norm(wanted)
     monostatic = np.asarray(scattering_matrix(craft, receive, CHI, **arguments))
     found = scattering_from_t_matrix(matrix, receive, frequency_hz=CRAFT_HZ)
-    assert np.linalg.norm(found - monostatic) < 2e-3 * np.linalg.norm(monostatic)
+    assert np.linalg.norm(found - monostatic) < 1e-4 * np.linalg.norm(monostatic)
 
 
 @pytest.mark.filterwarnings("ignore:.scipy.special.sph_harm")

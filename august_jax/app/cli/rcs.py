@@ -16,6 +16,7 @@ from august_jax.config import Bounds, ConfigError
 _AZIMUTH, _ELEVATION = Bounds(-360.0, 360.0, "degrees"), Bounds(-90.0, 90.0, "degrees")
 _GHZ = Bounds(0.1, 100.0, "GHz")
 _MOST = 200_000
+_MOST_ENTRIES = 40_000_000  # of T-matrices, 320 MB
 _POINTS = 500  # of the craft, in the middle of the lobe
 _CHANNELS = ("hh", "hv", "vh", "vv")
 
@@ -39,6 +40,9 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
         "--transmit", type=numbers(2, _AZIMUTH), metavar="AZ,EL",
         help="where the transmitter is, seen from the craft [deg] (default: where the receiver is)",
     )  # fmt: skip
+    parser.add_argument(
+        "--t-matrix", action="store_true", help="also write the craft as T-matrices, tmatrix.npz and tmatrix.mat"
+    )
     material_arguments(parser)
 
 
@@ -82,7 +86,17 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
     from august_jax.app.lobe import write_lobe
     from august_jax.data.simulator import lattice_of
     from august_jax.files import replacing
-    from august_jax.physics import contrast, dbsm, factor_body, looking, scattering_matrix
+    from august_jax.physics import (
+        contrast,
+        dbsm,
+        degree_for,
+        factor_body,
+        looking,
+        scattering_matrix,
+        spherical_basis,
+        t_matrix,
+        wavenumber,
+    )
     from august_jax.scene import resolve_airframe
     from august_jax.scene.airframes import AIRFRAMES
 
@@ -106,6 +120,12 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
         raise ConfigError(
             f"--azimuth, --elevation: {looks} directions at {len(hertz)} frequencies are more than {_MOST}; take "
             "larger steps"
+        )
+    degree = degree_for(airframe.radius_m, max(hertz))
+    if args.t_matrix and len(hertz) * (2 * degree * (degree + 2)) ** 2 > _MOST_ENTRIES:
+        raise ConfigError(
+            f"--t-matrix: {len(hertz)} matrices of degree {degree} are more than {_MOST_ENTRIES:.0e} entries; "
+            "give fewer or lower frequencies"
         )
     permittivity = sum(target.permittivity) / 2.0 if args.permittivity is None else args.permittivity
     conductivity = sum(target.conductivity_s_m) / 2.0 if args.conductivity is None else args.conductivity
@@ -141,6 +161,18 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
     out.mkdir(parents=True, exist_ok=True)
     for suffix in ("npz", "mat"):
         write_record(out / f"rcs.{suffix}", record)
+    if args.t_matrix:
+        basis = spherical_basis(degree)
+        matrices = {
+            "tmatrix": t_matrix(body, np.asarray(chi), degree).astype(np.complex64),
+            "l": basis.degree,
+            "m": basis.order,
+            "electric": basis.electric,
+            "k0_rad_m": np.array([wavenumber(each) for each in hertz]),
+            "frequency_hz": np.asarray(hertz),
+        }
+        for suffix in ("npz", "mat"):
+            write_record(out / f"tmatrix.{suffix}", matrices)
     rows = np.stack(
         [
             *(part.ravel() for part in np.meshgrid(elevation, azimuth, hertz, indexing="ij")),
@@ -188,9 +220,10 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
     )
     again = options(args, "half_wheelbase", "permittivity", "conductivity")
     craft = [*args.rest, *options(args, "mesh")]
+    more = ", tmatrix.npz, tmatrix.mat" if args.t_matrix else ""
     say(
         args,
-        f"written: {out}/rcs.html, rcs.png, rcs.npz, rcs.mat, rcs.csv in {time.monotonic() - started:.0f} s\n"
+        f"written: {out}/rcs.html, rcs.png, rcs.npz, rcs.mat, rcs.csv{more} in {time.monotonic() - started:.0f} s\n"
         f"next:  {command_line('rcs', *craft, *again, '--transmit', '0,0', '--elevation', '0')}"
         "      seen from all sides while a transmitter stands ahead",
     )
