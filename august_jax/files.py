@@ -139,6 +139,18 @@ def make_folder(folder: Path) -> None:
         _flush_folder(each.parent)
 
 
+def flush_tree(folder: Path) -> None:
+    """Bring a folder that somebody else wrote, all that is in it, and its name to the disk."""
+    for path in folder.rglob("*"):
+        if path.is_dir():
+            _flush_folder(path)
+        else:
+            with path.open("rb+") as file:
+                os.fsync(file.fileno())
+    _flush_folder(folder)
+    _flush_folder(folder.parent)
+
+
 def write_text(path: str | Path, text: str) -> None:
     """Write UTF-8 text."""
     with replacing(path) as aside:

@@ -24,7 +24,7 @@ import numpy as np
 from flax import nnx
 
 from august_jax.config import Config
-from august_jax.files import replacing
+from august_jax.files import flush_tree, replacing
 from august_jax.models import State, create
 from august_jax.models.weights import compare, flatten, read_weights
 from august_jax.progress import Progress
@@ -85,6 +85,7 @@ class Checkpoints:
         arrays: dict[str, Any] = flatten(_plain(state))
         try:
             self._checkpointer.save(int(state.step), arrays | {_SUM: _sum_of(arrays)}, force=True, overwrite=True)
+            flush_tree(Path(str(self._checkpointer.directory)) / str(int(state.step)))  # which orbax leaves undone
         except Exception as error:  # of many kinds, some of which hold another's words alone
             text = f"{error!r}"
             for number in _DISK:

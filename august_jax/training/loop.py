@@ -24,7 +24,7 @@ from flax import nnx
 from august_jax import config as configuration
 from august_jax import streams
 from august_jax.config import Config
-from august_jax.files import DamagedFile, occupying, read_npz, rename, write_text
+from august_jax.files import DamagedFile, naming, occupying, read_npz, rename, write_text
 from august_jax.models import State
 from august_jax.progress import Progress, silent
 from august_jax.training.checkpoint import Checkpoints, save_weights, warm_start
@@ -140,7 +140,7 @@ def train(
                 save_weights(out / weights_file, averaged)
                 if validate is not None:
                     line |= validate(layout.graphdef, averaged, done)
-            with metrics.open("a", encoding="utf-8") as file:
+            with naming(metrics), metrics.open("a", encoding="utf-8") as file:
                 file.write(json.dumps({name: float(f"{value:.6g}") for name, value in line.items()}) + "\n")
                 file.flush()
                 os.fsync(file.fileno())

@@ -160,7 +160,12 @@ class Trial:
                     return f"{path} is half-written"
             forked(lambda: self.work.look(folder))
             forked(lambda: self.work.run(folder, self._ledger(name)))
-            left = [path for path in map(str, folder.rglob("*")) if "/." in path or "-tmp" in path]
+            # the file of a lock that nobody holds stays until somebody works there again
+            left = [
+                path
+                for path in map(str, folder.rglob("*"))
+                if ("/." in path and not Path(path).name.startswith(".lock")) or "-tmp" in path
+            ]
             if left:
                 return f"left behind: {left[0]}"
             result = forked(lambda: self.work.result(folder))
