@@ -304,10 +304,11 @@ class Reproduce(Work):
 
     def look(self, folder):
         look_at_run(folder / "runs" / "smoke" / "one")
-        for path in folder.glob("results/**/*.npz"):
-            read_npz(path)
-        for path in folder.glob("results/**/*.json"):
-            json.loads(path.read_text())
+        for path in folder.glob("results/**/[!.]*"):  # what is aside nobody reads
+            if path.suffix == ".npz":
+                read_npz(path)
+            elif path.suffix == ".json":
+                json.loads(path.read_text())
 
     def result(self, folder):
         found = {name: sha for name, sha in hashes(folder).items() if not name.startswith("runs/")}
