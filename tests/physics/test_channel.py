@@ -183,7 +183,7 @@ def test_materials_may_differ_by_part_metal_among_them(solver):
     chi = np.full(cells.count, CHI)
     chi[:5] = contrast(4.0, 50.0, 3e9)
     chi[-3:] = contrast(1.0, 1e5, 3e9)
-    with pytest.warns(UserWarning, match="wavelength in their material"):  # such a metal is not resolved, but solved
+    with pytest.warns(UserWarning, match="skin depths of their material"):  # such a metal is not resolved, but solved
         channel = np.asarray(sensing_channel(ARRAY, cells, jnp.asarray(chi, jnp.complex64), solver=solver))
     exact = twin(ARRAY, cells, chi.astype(np.complex64))
     assert np.linalg.norm(channel - exact) < 1e-4 * np.linalg.norm(exact)
