@@ -12,7 +12,7 @@ import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from functools import partial
+from functools import lru_cache, partial
 
 import jax
 import jax.numpy as jnp
@@ -154,14 +154,16 @@ def tabulate_bodies(
             patch.sine,
         ]
     )
-    # of one shape they are compiled for once, which on an accelerator takes longer than all else
-    pairs = zip(bodies, evened(bodies), strict=True)
-    jobs = [(body, padded, tone) for body, padded in pairs for tone in range(len(tones))]
+    # Of one shape they are compiled for once, which on an accelerator takes longer than all else; what the cache has
+    # needs none.
+    shaped = lru_cache(maxsize=None)(lambda: evened(bodies))
+    jobs = [(row, tone) for row in range(len(bodies)) for tone in range(len(tones))]
     found = []
-    for body, padded, tone in jobs:
+    for row, tone in jobs:
+        body = bodies[row]
 
-        def make(padded=padded, tone=tone):
-            return _tabulated(padded, tone, array, axes, outline, progress)
+        def make(row=row, tone=tone):
+            return _tabulated(shaped()[row], tone, array, axes, outline, progress)
 
         leaves = [np.asarray(leaf[tone]) for leaf in (body.weights, body.eigenvalues, body.points, body.rows)]
         key = (settings, np.asarray([tones[tone]]), *leaves, places, np.asarray(array.moments, np.float64))
