@@ -76,6 +76,7 @@ def training(config: Config, out: Path) -> Plan:
     """
     import jax
 
+    from august_jax.training.checkpoint import bytes_for
     from august_jax.training.step import compiled_step, initial_state
 
     settings = config.train
@@ -112,8 +113,7 @@ def training(config: Config, out: Path) -> Plan:
         "memory_bytes": needed,
         "available_bytes": available,
         "batch_fits": most,
-        # weights; two checkpoints of the parameters, their average and both of Adam's moments
-        "disk_bytes": 4 * parameters * (1 + 2 * 4),
+        "disk_bytes": 4 * parameters + bytes_for(state),  # weights and checkpoints
         "free_bytes": shutil.disk_usage(_existing(out)).free,
     }
 

@@ -100,9 +100,8 @@ class Checkpoints:
             ValueError: too little is free.
         """
         folder = Path(str(self._checkpointer.directory))
-        size = sum(int(np.prod(leaf.shape)) * leaf.dtype.itemsize for leaf in flatten(_plain(state)).values())
         kept = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
-        wanted, free = (_KEEP + 1) * size, shutil.disk_usage(folder).free  # one more while it is written
+        wanted, free = bytes_for(state), shutil.disk_usage(folder).free
         progress(f"checkpoints take up to {wanted / 1e6:.0f} MB in {folder}; {free / 1e9:.1f} GB are free there")
         if wanted > free + kept:
             raise ValueError(
@@ -208,6 +207,12 @@ def warm_start(layout: ParameterLayout, state: TrainState, path: str | Path) -> 
         np.concatenate([np.ravel(leaf if name in kept else stored[name]) for name, leaf in own.items()])
     )
     return state._replace(params=params, ema=jnp.copy(params)), kept
+
+
+def bytes_for(state: TrainState) -> int:
+    """What the checkpoints of a run take on the disk at most: those that are kept, and one more while it is written."""
+    size = sum(int(np.prod(leaf.shape)) * leaf.dtype.itemsize for leaf in flatten(_plain(state)).values())
+    return (_KEEP + 1) * size
 
 
 def _sum_of(arrays: Mapping[str, Any]) -> np.ndarray:
