@@ -6,16 +6,13 @@ points of the craft in the middle, which say where ahead and up are.
 
 from __future__ import annotations
 
-import base64
-import json
 from collections.abc import Mapping, Sequence
-from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 
-from august_jax.files import write_text
+from august_jax.app.page import steps_of, write_page
 
 STEP_DB = 0.01
 """Step of the cross-sections in the page [dB]."""
@@ -51,17 +48,9 @@ def write_lobe(
         "elevation_deg": [float(value) for value in elevation_deg],
         "frequency_hz": [float(value) for value in frequency_hz],
         "entries": {
-            name: [_steps(np.maximum(values[..., tone], _LEAST_DB) / STEP_DB) for tone in range(len(frequency_hz))]
+            name: [steps_of(np.maximum(values[..., tone], _LEAST_DB) / STEP_DB) for tone in range(len(frequency_hz))]
             for name, values in entries.items()
         },
-        "craft": _steps(np.asarray(craft) / reach * 32767),
+        "craft": steps_of(np.asarray(craft) / reach * 32767),
     }
-    # "<" is written as an escape, so that no text of the payload can close the script element
-    text = json.dumps(payload, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
-    page = files("august_jax.app").joinpath("lobe.html").read_text(encoding="utf-8")
-    write_text(path, page.replace("@PAYLOAD@", text))
-
-
-def _steps(values: np.ndarray) -> str:
-    steps = np.clip(np.round(values), -32768, 32767).astype("<i2")
-    return base64.b64encode(steps.tobytes()).decode("ascii")
+    write_page(path, "lobe.html", payload)

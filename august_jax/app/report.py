@@ -9,16 +9,14 @@ thousand points stay below 1.5 MB.
 from __future__ import annotations
 
 import base64
-import json
 import math
 from collections.abc import Mapping, Sequence
-from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from august_jax.files import write_text
+from august_jax.app.page import steps_of, write_page
 
 if TYPE_CHECKING:
     from august_jax.scene import WorldCloud
@@ -98,15 +96,11 @@ def write_report(
             for index, slot in enumerate(scores["slots"])
         ],
     }
-    # "<" is written as an escape, so that no text of the payload can close the script element
-    text = json.dumps(payload, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
-    page = files("august_jax.app").joinpath("viewer.html").read_text(encoding="utf-8")
-    write_text(path, page.replace("@PAYLOAD@", text))
+    write_page(path, "viewer.html", payload)
 
 
 def _coordinates(points: np.ndarray) -> str:
-    steps = np.clip(np.round(points / QUANTUM_M), -32768, 32767).astype("<i2")
-    return base64.b64encode(steps.tobytes()).decode("ascii")
+    return steps_of(points / QUANTUM_M)
 
 
 def _levels(values: np.ndarray, span: tuple[float, float]) -> str:
