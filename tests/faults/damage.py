@@ -211,11 +211,7 @@ def _refused(trial, folder, answer, lines, words) -> str | None:
         return f"{len(lines)} lines: {lines[0]}"
     if not any(word in text for word in words) or str(folder.parent) not in text:
         return f"not told: {text}"
-    for path, content in hashes(folder).items():
-        hidden = any(part.startswith(".") for part in Path(path).parts)
-        if not hidden and trial.work.whole(path) and content not in trial.legal[path]:
-            return f"{path} is half-written"
-    return None
+    return trial.half_written(folder)
 
 
 def _again(trial, folder, answer, fault) -> dict:

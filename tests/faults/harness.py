@@ -151,13 +151,19 @@ class Trial:
         told = {"work": self.name, "at": f"{seconds:.3f} s", "killed": status == -signal.SIGKILL, "power": False}
         return told | {"fault": self._fault(name)}
 
+    def half_written(self, folder) -> str | None:
+        """A file that is none of those that whole work leaves on its way."""
+        for path, content in hashes(folder).items():
+            hidden = any(part.startswith(".") for part in Path(path).parts)
+            if not hidden and self.work.whole(path) and content not in self.legal[path]:
+                return f"{path} is half-written"
+        return None
+
     def _fault(self, name) -> str | None:
         folder = self.place(name)
         try:
-            for path, content in hashes(folder).items():
-                hidden = any(part.startswith(".") for part in Path(path).parts)
-                if not hidden and self.work.whole(path) and content not in self.legal[path]:
-                    return f"{path} is half-written"
+            if half := self.half_written(folder):
+                return half
             forked(lambda: self.work.look(folder))
             forked(lambda: self.work.run(folder, self._ledger(name)))
             # the file of a lock that nobody holds stays until somebody works there again
