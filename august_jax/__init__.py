@@ -45,7 +45,7 @@ XLA ends the process at a flag that it does not know, as a later release may not
 """
 
 
-PRECISION = "highest"
+ALL_DIGITS = "highest"
 """Of products of matrices: all digits of their numbers, on any device."""
 
 
@@ -96,10 +96,10 @@ def _file_says_so(path: str) -> bool:
 def _set_precision() -> None:
     if "JAX_DEFAULT_MATMUL_PRECISION" in os.environ:
         return
-    os.environ["JAX_DEFAULT_MATMUL_PRECISION"] = PRECISION
+    os.environ["JAX_DEFAULT_MATMUL_PRECISION"] = ALL_DIGITS
     jax = sys.modules.get("jax")
     if jax is not None and jax.config.jax_default_matmul_precision is None:  # it has read the variable already
-        jax.config.update("jax_default_matmul_precision", PRECISION)
+        jax.config.update("jax_default_matmul_precision", ALL_DIGITS)
 
 
 _set_xla_flags()

@@ -18,6 +18,7 @@ from august_jax.data import Sample, Target
 from august_jax.physics import PlanarArray, fisher_information, mean_position_error, tilt_bound
 from august_jax.physics.information import Spread
 from august_jax.signal.station import codebook
+from august_jax.tracking import Track
 
 SAMPLES = 100
 """Samples over which the bound is averaged."""
@@ -112,3 +113,24 @@ class Bound:
         if values is None:
             return {"bound_m": None, "bound_mde": None}
         return {name: float(np.mean(each[:count])) for name, each in values.items()}
+
+
+def track_bound(track: Track, target: Target, config: Config, snr_db: float) -> dict[str, float | None]:
+    """``bound_m`` and ``bound_mde`` over a track's slots, of the craft that flies.
+
+    None where they are not known.
+    """
+    slots = track.slots
+    none = np.zeros(slots, np.int32)
+    sample = Sample(
+        np.asarray(track.position, np.float32),
+        np.asarray(track.rotation, np.float32),
+        np.full(slots, track.permittivity, np.float32),
+        np.full(slots, track.conductivity, np.float32),
+        airframe=none,
+        flight=none,
+        slot=np.arange(slots, dtype=np.int32),
+        points=np.zeros((slots, 1, 3), np.float32),  # of clouds and channels nothing is asked
+        true_channel=np.zeros((slots, 1, 1), np.complex64),
+    )
+    return Bound(sample, np.asarray(track.predicted, np.float32), [target], config).at(snr_db)

@@ -39,6 +39,7 @@ from august_jax.physics.checks import (
     check_pose,
     is_concrete,
 )
+from august_jax.physics.parameters import rotation_from_vector
 
 _TOGETHER = 32
 """Pulses of which the channels are in flight."""
@@ -156,10 +157,8 @@ def slow_time_channels(
 
 def about_z(angles_rad: Float[Array, "*shape"]) -> Float[jax.Array, "*shape 3 3"]:
     """Rotations about z by angles [rad], anticlockwise seen from above."""
-    angles = jnp.asarray(angles_rad)
-    cosine, sine, none, one = jnp.cos(angles), jnp.sin(angles), jnp.zeros_like(angles), jnp.ones_like(angles)
-    rows = [[cosine, -sine, none], [sine, cosine, none], [none, none, one]]
-    return jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
+    vectors = jnp.asarray(angles_rad)[..., None] * jnp.array([0.0, 0.0, 1.0])
+    return jnp.vectorize(rotation_from_vector, signature="(n)->(n,n)")(vectors)
 
 
 @jax.jit

@@ -19,9 +19,9 @@ from collections.abc import Sequence
 
 from august_jax.app.cli import demo, doctor, doppler, evaluate, export, rcs, reconstruct, simulate, track, train
 from august_jax.app.cli.clock import watched
-from august_jax.app.cli.interrupt import STATUS, end_at_once
+from august_jax.app.cli.interrupt import STATUS, TOLD, end_at_once
 from august_jax.app.cli.messages import hush, note, told
-from august_jax.app.cli.parser import alike, parse
+from august_jax.app.cli.parser import errand, parse
 
 COMMANDS = {
     "doctor": doctor.COMMAND,
@@ -61,7 +61,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             from august_jax.app.compiled import keep_compiled  # with NumPy, which --help does without
 
             keep_compiled()
-            with watched(alike(args), COMMANDS[args.command].first):
+            with watched(errand(args), COMMANDS[args.command].first):
                 result = COMMANDS[args.command].run(args)
         if args.json:
             print(json.dumps(result, allow_nan=False))
@@ -73,7 +73,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except KeyboardInterrupt:
-        note("august: interrupted; finished files are kept, nothing is half-written")
+        note(TOLD)
         return STATUS
     except Exception as error:
         if debug:

@@ -10,13 +10,11 @@ from typing import TYPE_CHECKING
 
 from august_jax import config as configuration
 from august_jax.app.cli.parser import number
-from august_jax.config import Config, ConfigError
+from august_jax.config import Config, ConfigError, TargetConfig
 
 if TYPE_CHECKING:
-    from august_jax.data import Target
     from august_jax.pipeline import Networks
     from august_jax.scene import Airframe
-    from august_jax.tracking import Track
 
 _MARKS = {
     "manifest.json": "august simulate",
@@ -97,6 +95,13 @@ def material_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def material(args: argparse.Namespace, target: TargetConfig) -> tuple[float, float]:
+    """Permittivity and conductivity [S/m] that :func:`material_arguments` ask for, or the middles of the ranges."""
+    asked = (args.permittivity, target.permittivity), (args.conductivity, target.conductivity_s_m)
+    permittivity, conductivity = (sum(span) / 2.0 if value is None else value for value, span in asked)
+    return permittivity, conductivity
+
+
 def chosen_config(args: argparse.Namespace) -> Config:
     """The preset (``laptop`` unless named) with its overrides."""
     return configuration.override(configuration.preset(args.preset or "laptop"), args.overrides)
@@ -115,32 +120,6 @@ def chosen_weights(args: argparse.Namespace, run: str | None) -> tuple[Networks,
     config = configuration.override(networks.config, args.overrides)
     configuration.check_weights(config, networks.config)
     return networks, config
-
-
-def track_bound(track: Track, target: Target, config: Config, snr_db: float) -> dict[str, float | None]:
-    """``bound_m`` and ``bound_mde`` over a track's slots, of the craft that flies.
-
-    As :mod:`august_jax.evaluation.bound` has them; None where they are not known.
-    """
-    import numpy as np
-
-    from august_jax.data import Sample
-    from august_jax.evaluation.bound import Bound
-
-    slots = track.slots
-    none = np.zeros(slots, np.int32)
-    sample = Sample(
-        np.asarray(track.position, np.float32),
-        np.asarray(track.rotation, np.float32),
-        np.full(slots, track.permittivity, np.float32),
-        np.full(slots, track.conductivity, np.float32),
-        airframe=none,
-        flight=none,
-        slot=np.arange(slots, dtype=np.int32),
-        points=np.zeros((slots, 1, 3), np.float32),  # of clouds and channels nothing is asked
-        true_channel=np.zeros((slots, 1, 1), np.complex64),
-    )
-    return Bound(sample, np.asarray(track.predicted, np.float32), [target], config).at(snr_db)
 
 
 def counted(number: int, thing: str) -> str:

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from august_jax.app.cli.common import chosen_config, folder, material_arguments
+from august_jax.app.cli.common import chosen_config, folder, material, material_arguments
 from august_jax.app.cli.messages import UsageError, command_line, note, options, say
 from august_jax.app.cli.parser import Command, number, numbers
 from august_jax.config import Bounds, ConfigError
@@ -69,7 +69,7 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
         contrast,
         doppler_shift,
         doppler_spectrum,
-        factor_body,
+        factor_bodies,
         slow_time_channels,
     )
     from august_jax.scene import procedural_airframe, rotorcraft
@@ -99,8 +99,7 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
             f"--position: {nearest:.2g} m from the antennas at the nearest; keep {2.0 * airframe.radius_m + 0.5:.2g} m"
         )
     hertz = config.array.frequency_hz if args.frequency is None else 1e9 * args.frequency
-    permittivity = sum(target.permittivity) / 2.0 if args.permittivity is None else args.permittivity
-    conductivity = sum(target.conductivity_s_m) / 2.0 if args.conductivity is None else args.conductivity
+    permittivity, conductivity = material(args, target)
     chi = complex(contrast(permittivity, conductivity, hertz))
     parts = rotorcraft(airframe)
     cell_m = parts.hull.cell_size_for(target.max_cells, target.cell_m, target.skin_m)
@@ -110,13 +109,13 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
         f"mm and {len(parts.rotors)} rotors, {count} pulses; factoring takes up to a minute, once"
     )
     far = 1.5 * airframe.radius_m + 0.5
-    hull = factor_body(cells, hertz, nearest_m=far)
     # rotors of one hand are one another's copies; the phases they stand at are drawn apart anyway
     hands = sorted(set(parts.hands.tolist()))
     first = [parts.rotors[parts.hands.tolist().index(hand)] for hand in hands]
     blade_m = max(min(_BLADE_M, cell_m), target.skin_m)
-    bodies = dict(zip(hands, alike([factor_body(each.cells(blade_m, target.skin_m), hertz, nearest_m=far)
-                                    for each in first])))  # fmt: skip
+    blades = [each.cells(blade_m, target.skin_m) for each in first]
+    hull, *factored = factor_bodies([cells, *blades], hertz, nearest_m=far)
+    bodies = dict(zip(hands, alike(factored)))
     rates = [args.rate[row % len(args.rate)] for row in range(len(parts.rotors))]
     spinning = [
         Spinning(bodies[hand], centre, hand * rate, _GOLDEN * row)

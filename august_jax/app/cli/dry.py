@@ -52,6 +52,9 @@ def size(count: int | None) -> str:
 
 def about(seconds: float | None) -> str:
     """A time that is known to one digit."""
-    if seconds is None:
-        return "not known"
-    return f"about {seconds / 3600.0:.1f} h" if seconds > 5400.0 else f"about {told_s(seconds)}"
+    return "not known" if seconds is None else f"about {long(seconds)}"
+
+
+def long(seconds: float) -> str:
+    """A time, in hours where it is hours."""
+    return f"{seconds / 3600.0:.1f} h" if seconds > 5400.0 else told_s(seconds)

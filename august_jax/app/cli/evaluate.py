@@ -9,7 +9,7 @@ from typing import Any
 
 from august_jax import config as configuration
 from august_jax.app.cli.common import chosen_weights, counted, folder
-from august_jax.app.cli.dry import about, dry_run_argument, size, told_plan
+from august_jax.app.cli.dry import about, dry_run_argument, long, size, told_plan
 from august_jax.app.cli.messages import UsageError, command_line, expected_table, note, say, scheme_table, search_table
 from august_jax.app.cli.parser import Command, whole
 from august_jax.config import Config
@@ -86,7 +86,7 @@ def _plan(
         ("samples", f"{plan['samples']}, each at {levels} dB, into {out}/"),
         ("asked", ", ".join(plan["asked"]) + (f"; {networks} networks" if networks > 1 else "")),
         ("time", f"{about(plan['seconds'])} to simulate on two CPU cores, a minute or two to compile, and up to "
-                 f"{about(plan['factoring_seconds'])[6:]} before where the drones are not factored yet"),
+                 f"{long(plan['factoring_seconds'])} before where the drones are not factored yet"),
         ("search", f"{counted(plan['searched'], 'slot')}, {about(plan['search_seconds'])}"
                    + ("; evaluate.searched=0 leaves it out" if plan["searched"] else "")),
         ("memory", f"about {size(plan['memory_bytes'])}"),

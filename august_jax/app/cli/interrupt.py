@@ -14,6 +14,7 @@ import threading
 
 from august_jax.app.cli.messages import note
 
+TOLD = "august: interrupted; finished files are kept, nothing is half-written"
 STATUS = 130
 """The exit status, by the shells' custom."""
 
@@ -34,7 +35,7 @@ def _watch(reading: int) -> None:
     while signal.SIGINT not in os.read(reading, 1):
         pass
     try:
-        note("august: interrupted; finished files are kept, nothing is half-written")
+        note(TOLD)
         from august_jax.files import discard_unfinished
 
         discard_unfinished()

@@ -193,7 +193,7 @@ _PLACES = ("out", "seed", "json", "debug", "command", "options", "words", "place
 """Arguments that do not change how long a command takes."""
 
 
-def alike(args: argparse.Namespace) -> str:
+def errand(args: argparse.Namespace) -> str:
     """The command with all that it was asked that may change how long it takes."""
     asked = {name: value for name, value in sorted(vars(args).items()) if name not in _PLACES and value is not None}
     return f"{args.command} {asked}"

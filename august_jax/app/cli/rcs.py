@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from august_jax.app.cli.common import chosen_config, folder, material_arguments, mesh_airframe, mesh_arguments
+from august_jax.app.cli.common import chosen_config, folder, material, material_arguments, mesh_airframe, mesh_arguments
 from august_jax.app.cli.messages import UsageError, command_line, note, options, say, table
 from august_jax.app.cli.parser import Command, numbers
 from august_jax.config import Bounds, ConfigError
@@ -127,8 +127,7 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
             f"--t-matrix: {len(hertz)} matrices of degree {degree} are more than {_MOST_ENTRIES:.0e} entries; "
             "give fewer or lower frequencies"
         )
-    permittivity = sum(target.permittivity) / 2.0 if args.permittivity is None else args.permittivity
-    conductivity = sum(target.conductivity_s_m) / 2.0 if args.conductivity is None else args.conductivity
+    permittivity, conductivity = material(args, target)
     cells, cell_m = lattice_of(airframe, target)
     note(
         f"{airframe.name}: half-wheelbase {airframe.half_wheelbase_m:.3f} m, {cells.count} cells of "
@@ -185,7 +184,7 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
                    header="elevation_deg,azimuth_deg,frequency_hz,hh_dbsm,hv_dbsm,vh_dbsm,vv_dbsm")  # fmt: skip
     title = f"{airframe.name}, {'monostatic' if transmit is None else 'bistatic'}"
     plotting.cross_sections(azimuth, elevation, hertz, entries, out / "rcs.png", title=title)
-    material = f"permittivity {permittivity:.3g}, conductivity {1e3 * conductivity:.3g} mS/m"
+    made_of = f"permittivity {permittivity:.3g}, conductivity {1e3 * conductivity:.3g} mS/m"
     sites = np.asarray(cells.sites())
     write_lobe(
         out / "rcs.html",
@@ -195,14 +194,14 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
         entries,
         sites[:: max(1, len(sites) // _POINTS)],
         title=f"{title}: radar cross-section",
-        lead=f"Half-wheelbase {airframe.half_wheelbase_m:.3g} m, {material}. Distance from the middle is the "
+        lead=f"Half-wheelbase {airframe.half_wheelbase_m:.3g} m, {made_of}. Distance from the middle is the "
         "cross-section in dB above what the slider leaves out"
         + ("." if args.transmit is None else ", towards the receiver, while the transmitter stands at azimuth "
            f"{args.transmit[0]:g} and elevation {args.transmit[1]:g} degrees."),
     )  # fmt: skip
     say(
         args,
-        f"{title}, half-wheelbase {airframe.half_wheelbase_m:.3g} m, {material}; error of the reduced body "
+        f"{title}, half-wheelbase {airframe.half_wheelbase_m:.3g} m, {made_of}; error of the reduced body "
         f"{body.error_at(chi[0]):.1e}\n"
         + table(
             [

@@ -63,7 +63,7 @@ def leave(
         made: how it was made, kept with the numbers.
         seconds: that it took [s].
         title, lead: heading of report and picture, and the sentence below it.
-        setup: pairs of name and value for the report.
+        setup: pairs of name and value for the report; the seed and the time are added.
         following: pairs of a command line to try next and what it does.
         draw: draws the picture into a file.
         hypotheses: slot -> surfaces of its hypotheses, for the report.
@@ -101,7 +101,7 @@ def leave(
             title=title,
             lead=lead,
             note=evaluation.NOTE,
-            setup=setup,
+            setup=[*setup, ("seed", str(args.seed)), ("computed in", f"{seconds:.0f} s")],
             following=following,
             repeat=[(command_line(*args.words), _needed(made))],
             configuration=configuration.to_yaml(config),

@@ -10,7 +10,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from august_jax import config as configuration
-from august_jax.app.cli.common import counted, folder, track_bound
+from august_jax.app.cli.common import counted, folder
 from august_jax.app.cli.messages import command_line, note
 from august_jax.app.cli.parser import whole
 from august_jax.app.cli.results import array_told, leave
@@ -67,6 +67,7 @@ def sensed(
     """
     from august_jax import evaluation, pipeline
     from august_jax.app import plotting
+    from august_jax.evaluation.bound import track_bound
 
     out = folder(args, f"august_{args.command}", configured=True)
     following = [
@@ -120,8 +121,6 @@ def sensed(
          f"{counted(config.target.points, 'point')}"),
         ("first predictions", f"uniform within {config.region.threshold_m:g} m along each axis, as of a detection"),
         *([("known drones", ", ".join(search.names))] if search is not None else []),
-        ("seed", str(args.seed)),
-        ("computed in", f"{seconds:.0f} s"),
     ]  # fmt: skip
     return leave(
         args,

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from august_jax.app.cli.common import chosen_config, folder
-from august_jax.app.cli.dry import about, dry_run_argument, size, told_plan
+from august_jax.app.cli.dry import about, dry_run_argument, long, size, told_plan
 from august_jax.app.cli.messages import command_line, note, say
 from august_jax.app.cli.parser import Command, part, presets_help
 from august_jax.config import Config
@@ -69,7 +69,7 @@ def _plan(args: argparse.Namespace, config: Config, out: Path) -> dict[str, Any]
     lines = [
         ("samples", f"{plan['rows_left']} of {plan['rows']} to make, {plan['rows_here']} are there"),
         ("shards", f"{plan['shards_left']} of {config.data.shard_rows} samples, in {out}/"),
-        ("time", f"{about(plan['seconds'])} on two CPU cores, and up to {about(plan['factoring_seconds'])[6:]} before "
+        ("time", f"{about(plan['seconds'])} on two CPU cores, and up to {long(plan['factoring_seconds'])} before "
                  "it where the drones are not factored yet"),
         ("disk", f"{size(plan['disk_bytes'])}; {size(plan['free_bytes'])} are free"),
         ("memory", f"about {size(plan['memory_bytes'])}"),

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
 from august_jax import config as configuration
-from august_jax.app.cli.common import chosen_config, chosen_weights, counted, folder, track_bound
+from august_jax.app.cli.common import chosen_config, chosen_weights, counted, folder
 from august_jax.app.cli.messages import UsageError, cell, command_line, note, options, table
 from august_jax.app.cli.parser import Command, seed_and_snr, whole
 from august_jax.app.cli.results import array_told, leave
@@ -132,8 +132,6 @@ def _left(
         ("material", f"permittivity {shot.permittivity:.2f}, conductivity {1e3 * shot.conductivity:.2f} mS/m"),
         ("detections", f"uniform within {config.region.threshold_m:g} m along each axis: the first three slots, and "
                        "after a loss"),
-        ("seed", str(args.seed)),
-        ("computed in", f"{seconds:.0f} s"),
     ]  # fmt: skip
     return leave(
         args,
@@ -217,6 +215,7 @@ def _searched(args: argparse.Namespace, out: Path, started: float) -> dict[str, 
     """A flight followed by hypotheses among known drones."""
     from august_jax import evaluation
     from august_jax.data import channels_along, prepare_targets
+    from august_jax.evaluation.bound import track_bound
     from august_jax.evaluation.followed import FOLLOWED
     from august_jax.inference import known_craft
     from august_jax.schemes import follow_flight
