@@ -17,7 +17,8 @@ for q and p of the horizontal and the vertical of the receiver's and of the tran
 growing azimuth and of growing elevation. (Knott, Shaeffer and Tuley, Radar Cross Section, chapter 3.)
 
 A channel says the same of an antenna far away: a dipole of moment p at t r sends (e^{jkr}/4 pi r) p e^{-jk t.r'} to the
-place r' near the craft, so that H = e^{jk(r_t + r_r)} q.F/(4 pi r_t r_r): :func:`seen_from`.
+place r' near the craft, so that H = e^{jk(r_t + r_r)} q.F/(4 pi r_t r_r): :func:`seen_from`. A table, which knows
+antennas up to a distance, answers by it: what two crossed dipoles there see.
 """
 
 from __future__ import annotations
@@ -30,8 +31,9 @@ import numpy as np
 from jaxtyping import Complex, Float, Inexact
 
 from august_jax.arrays import Array, ArrayLike
-from august_jax.physics.array import wavenumber
+from august_jax.physics.array import AntennaArray, wavenumber
 from august_jax.physics.body.body import Body, in_modes, judge_contrast
+from august_jax.physics.body.table import Table, check_contrast_range, table_channel
 from august_jax.physics.cells import Cells
 from august_jax.physics.checks import (
     check_cells,
@@ -71,7 +73,7 @@ def polarisations(directions: Float[Array, "*shape 3"]) -> Float[jax.Array, "*sh
 
 
 def scattering_matrix(
-    craft: Body | Cells,
+    craft: Body | Table | Cells,
     receive: Float[Array, "looks 3"],
     contrast: ArrayLike,
     *,
@@ -81,11 +83,13 @@ def scattering_matrix(
     """S [m] of a craft, for each direction of the receiver.
 
     Args:
-        craft: a factored body or, for a coupled solve of its own, cells (N of them cost N^3).
+        craft: a factored body; a table, the fastest, which says what antennas at its farthest distance r see, for a
+            craft of the size D some D^2/(wavelength r) from plane waves; or, for a coupled solve of its own, cells (N
+            of them cost N^3).
         receive: unit vectors from the craft to the receiver, in the craft's frame (D, 3).
-        contrast: chi, scalar; of a body of F tones also (F,), of cells also (N,), one value a cell.
+        contrast: chi, scalar; of a body or a table of F tones also (F,), of cells also (N,), one value a cell.
         transmit: to the transmitter (D, 3) or (3,); None is where the receiver is (monostatic).
-        frequency_hz: of cells; a body has its own.
+        frequency_hz: of cells; a body or a table has its own.
 
     Returns:
         (D, 2, 2), or (F, D, 2, 2) for a body of several tones; complex64. Rows receive H and V, columns send H and V.
@@ -93,7 +97,8 @@ def scattering_matrix(
 
     Raises:
         ValueError: directions that are not finite or no unit vectors, a contrast of another shape, a frequency where
-            none belongs or none where one does, malformed cells.
+            none belongs or none where one does, malformed cells; what lies outside a table's range, or a stack of
+            tables.
 
     Warns as :func:`body_channel` does of contrasts that cells or the reduction are not made for.
     """
@@ -101,15 +106,19 @@ def scattering_matrix(
     ways = (receive,)  # one where both ends are
     if transmit is not None:
         ways += (jnp.broadcast_to(_directions("transmit", transmit), receive.shape),)
-    of_body = isinstance(craft, Body)
-    values = len(craft.frequencies_hz) if of_body else craft.count
-    check_contrast(contrast, ((), (values,)), f"a scalar or ({values},), one value a {'tone' if of_body else 'cell'}")
+    of_cells = isinstance(craft, Cells)
+    values = craft.count if isinstance(craft, Cells) else len(craft.frequencies_hz)
+    check_contrast(contrast, ((), (values,)), f"a scalar or ({values},), one value a {'cell' if of_cells else 'tone'}")
     chi = settled("contrast", contrast)
-    if isinstance(craft, Body):
+    if not isinstance(craft, Cells):
         if frequency_hz is not None:
             raise ValueError(
                 f"frequency_hz: got {frequency_hz:g}; a body has its own, {craft.frequencies_hz}: leave it out"
             )
+        if isinstance(craft, Table):
+            check_contrast_range(craft, contrast)
+            _check_ways(craft, ways)
+            return _of_table(craft, ways, chi)
         if is_concrete(contrast):
             judge_contrast(craft, contrast)
         return _of_body(craft, ways, chi)
@@ -154,6 +163,32 @@ def _directions(name: str, directions):
     return found
 
 
+def _check_ways(table, ways):
+    """Refuse a stack, and what the table does not know of where its antennas would stand."""
+    if np.ndim(table.directions) == 3:
+        raise ValueError(
+            "craft: the table is a stack of several; take one, e.g. jax.tree.map(lambda part: part[0], it)"
+        )
+    if not is_concrete(ways):
+        return
+    there, back = (np.asarray(way, np.float64) for way in (ways[0], ways[-1]))
+    half = np.degrees(np.arcsin(np.clip(0.5 * np.linalg.norm(there - back, axis=-1), 0.0, 1.0))).max(initial=0.0)
+    if half > np.degrees(table.angle) + 0.1:
+        raise ValueError(
+            f"transmit: stands {2.0 * half:.3g} degrees from the receiver as the craft sees it; the table holds "
+            f"{2.0 * np.degrees(table.angle):.3g}; give a factored body"
+        )
+    middle = there + back
+    elevation = np.degrees(np.arcsin(np.clip(middle[:, 2] / np.linalg.norm(middle, axis=-1), -1.0, 1.0)))
+    low, high = table.elevation_deg
+    outside = (elevation < low - 0.1) | (elevation > high + 0.1)
+    if np.any(outside):
+        raise ValueError(
+            f"receive: is at an elevation of {elevation[outside][0]:.3g} degrees; the table holds {low:g} to {high:g}; "
+            "tabulate for more (elevation_deg), or give a factored body"
+        )
+
+
 def _plane_waves(points, directions, k):
     """Fields (3 P, 2 D) at points (P, 3) of unit waves from directions (D, 3), H and V of each in turn."""
     phase = jnp.exp(-1j * k * (points @ directions.T))
@@ -183,6 +218,26 @@ def _of_body(body, ways, contrast):
 
         found.append(_in_blocks(looked, ways))
     return found[0] if body.single else jnp.stack(found)
+
+
+@jax.jit
+def _of_table(table, ways, contrast):
+    """What two crossed dipoles at the table's farthest distance see."""
+    far = table.distance_m[1]
+
+    def crossed(towards):
+        places = jnp.broadcast_to(far * towards, (2, 3))
+        return AntennaArray(places, polarisations(towards), table.frequencies_hz[0])
+
+    def look(ends):
+        receiver = crossed(ends[0]) if len(ends) == 2 else None
+        H = table_channel(table, crossed(ends[-1]), jnp.eye(3), jnp.zeros(3), contrast, receiver=receiver)
+        tones = H[None] if table.single else H
+        return jnp.stack([seen_from(each, far, far, f) for each, f in zip(tones, table.frequencies_hz, strict=True)])
+
+    ways = tuple(way.astype(jnp.float32) for way in ways)
+    found = jnp.moveaxis(jax.lax.map(look, ways, batch_size=_TOGETHER), 0, 1)
+    return found[0] if table.single else found
 
 
 @partial(jax.jit, static_argnums=3)

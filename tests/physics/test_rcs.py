@@ -16,6 +16,8 @@ from august_jax.physics import (
     polarisations,
     scattering_matrix,
     seen_from,
+    stack_tables,
+    tabulate,
 )
 
 FREQUENCY = 299792458.0  # a wavelength of 1 m
@@ -114,6 +116,44 @@ def test_far_antennas_say_the_same_at_every_range(body):
         channel = body_channel(body, array, rotation, -distance * rotation @ towards, CHI)
         found = np.asarray(seen_from(channel, distance, distance, 3e9))
         assert np.linalg.norm(found - wanted) < within * np.linalg.norm(wanted)
+
+
+@pytest.fixture(scope="module")
+def table(body):
+    pair = AntennaArray(np.array([[0.4, 0.0, 0.0], [-0.4, 0.0, 0.0]]), np.eye(3)[:2], 3e9)
+    reach = {"distance_m": (4.0, 16.0), "elevation_deg": (-60.0, 60.0)}
+    return tabulate(body, pair, contrast=(1.0, 3.0), loss=0.6, cache=False, **reach)
+
+
+@pytest.mark.parametrize("apart_deg", [0.0, 8.0])
+def test_a_table_says_what_crossed_dipoles_at_its_farthest_distance_see(body, table, apart_deg):
+    azimuth, elevation = np.arange(0.0, 360.0, 20.0), np.linspace(-50.0, 50.0, 18)
+    receive, transmit = looking(azimuth, elevation), looking(azimuth + apart_deg, elevation)
+    apart = {"transmit": transmit} if apart_deg else {}
+    fast = np.asarray(scattering_matrix(table, receive, CHI, **apart))
+    far = table.distance_m[1]
+    slow = []
+    for here, there in zip(receive, transmit):
+        ends = [AntennaArray(np.tile(far * np.asarray(way), (2, 1)), np.asarray(polarisations(way)), 3e9)
+                for way in (here, there)]  # fmt: skip
+        channel = body_channel(body, ends[1], np.eye(3), np.zeros(3), CHI, receiver=ends[0])
+        slow.append(np.asarray(seen_from(channel, far, far, 3e9)))
+    assert np.linalg.norm(fast - np.array(slow)) < 1e-2 * np.linalg.norm(slow)
+    plane = np.asarray(scattering_matrix(body, receive, CHI, **apart))
+    assert np.linalg.norm(fast - plane) < 3e-2 * np.linalg.norm(plane)
+
+
+def test_what_a_table_does_not_hold_is_refused(table):
+    level = looking(np.array([0.0, 90.0]), 0.0)
+    for arguments, message in (
+        ({"transmit": looking(np.array([0.0, 120.0]), 0.0)}, "transmit: stands 30 degrees from the receiver"),
+        ({"receive": looking(0.0, np.array([0.0, 80.0]))}, "receive: is at an elevation of 80 degrees"),
+        ({"contrast": 5.0}, r"contrast: got 5\+0j; the table holds 1 to 3"),
+        ({"frequency_hz": 3e9}, "frequency_hz: got 3e.09; a body has its own"),
+        ({"craft": stack_tables([table, table])}, "craft: the table is a stack"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            scattering_matrix(**({"craft": table, "receive": level, "contrast": CHI} | arguments))
 
 
 def test_several_tones_and_more_looks_than_a_block():

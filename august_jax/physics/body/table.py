@@ -158,7 +158,7 @@ def table_channel(
     tones = len(table.frequencies_hz)
     check_contrast(contrast, ((), (tones,)), f"a scalar or ({tones},), one value a tone")
     _check_craft(table, craft)
-    _check_contrast_range(table, contrast)
+    check_contrast_range(table, contrast)
     _check_place(table, array, receiver, rotation, translation)
     combined = _checked_combine(combine, array, receiver, tones)
     return _table_channel(
@@ -185,7 +185,12 @@ def _check_craft(table, craft):
         raise ValueError(f"craft: got {craft}; the table holds craft 0 to {len(table.directions) - 1}")
 
 
-def _check_contrast_range(table, contrast):
+def check_contrast_range(table: Table, contrast: ArrayLike | Sequence) -> None:
+    """Refuse concrete contrasts that a table does not hold.
+
+    Raises:
+        ValueError: one is out of range.
+    """
     if not is_concrete(contrast):
         return
     values = np.ravel(contrast)
