@@ -31,9 +31,8 @@ def page(tmp_path_factory):
 
 @pytest.mark.parametrize("width", [1280, 390, 320])
 def test_nothing_is_wider_than_the_window(page, width):
-    found = found_in(
-        page, "return [document.documentElement.scrollWidth, canvas.clientWidth];", width=width, height=800
-    )
+    asked = 'return [document.documentElement.scrollWidth, document.getElementById("lobe").clientWidth];'
+    found = found_in(page, asked, width=width, height=800)
     assert found[0] == width and 0.7 * min(width, 1000) < found[1] < width
 
 

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from august_jax.app.page import RAMP
 from august_jax.arrays import Array, ArrayLike
 from august_jax.files import replacing
 
@@ -61,9 +62,6 @@ DESCRIBED: Mapping[str, tuple[str, tuple[str, ...]]] = {
     "transmit_deg": ("deg", ("azimuth, elevation",)),
 }
 """Name of an array of a slot, a sample or a cross-section -> its unit, and its axes, the first one first."""
-_COLOURS = np.array([[68, 1, 84], [71, 44, 122], [59, 81, 139], [44, 113, 142], [33, 144, 141], [39, 173, 129],
-                     [92, 200, 99], [170, 220, 50], [253, 231, 37]])  # fmt: skip
-"""From the lowest permittivity to the highest, as the report has them."""
 _GREY = 150
 
 
@@ -134,10 +132,10 @@ def _columns(points: Array, permittivity: ArrayLike, conductivity: ArrayLike) ->
 
 def _coloured(values: np.ndarray, span: tuple[float, float]) -> np.ndarray:
     """Colours (M, 3) of numbers (M,), grey where they are none."""
-    level = np.clip((values - span[0]) / max(span[1] - span[0], 1e-30), 0.0, 1.0) * (len(_COLOURS) - 1)
+    level = np.clip((values - span[0]) / max(span[1] - span[0], 1e-30), 0.0, 1.0) * (len(RAMP) - 1)
     known = np.isfinite(level)
-    at = np.arange(len(_COLOURS))
-    colours = np.stack([np.interp(np.where(known, level, 0.0), at, each) for each in _COLOURS.T], axis=-1)
+    at = np.arange(len(RAMP))
+    colours = np.stack([np.interp(np.where(known, level, 0.0), at, each) for each in np.transpose(RAMP)], axis=-1)
     return np.where(known[:, None], np.round(colours), _GREY).astype(np.uint8)
 
 

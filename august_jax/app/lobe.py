@@ -51,6 +51,7 @@ def write_lobe(
             name: [steps_of(np.maximum(values[..., tone], _LEAST_DB) / STEP_DB) for tone in range(len(frequency_hz))]
             for name, values in entries.items()
         },
+        "step_db": STEP_DB,
         "craft": steps_of(np.asarray(craft) / reach * 32767),
     }
     write_page(path, "lobe.html", payload)
