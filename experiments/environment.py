@@ -57,7 +57,7 @@ from august_jax.physics import (
     parameter_channel,
     tilt_bound,
 )
-from august_jax.progress import Progress
+from august_jax.progress import Progress, TimeLeft
 from august_jax.schemes.matched_field import expected_errors
 from august_jax.signal.roi import project
 from august_jax.signal.station import Statistics, codebook
@@ -120,19 +120,20 @@ def compute(
     ]
     if left:
         scene = _Scene.prepared(config, max(slot for slot, *_ in left) + 1, progress)
-    began = time.monotonic()
+    clock = TimeLeft(len(left))
     for at, (slot, case, level, snr_db) in enumerate(left, 1):
         same = (
             row for row in kept.rows if level == row["level"] == 0.0 and (row["slot"], row["snr_db"]) == (slot, snr_db)
         )
         found = next(same, None) or scene.looked(slot, snr_db, _planes(case, level))  # free space is that of all cases
         kept.add({**found, "case": case, "level": level, "slot": slot, "snr_db": snr_db})
+        time_left = clock.after_one()
         if at == len(left) or left[at][:3] != (slot, case, level):
-            each, row = (time.monotonic() - began) / at, kept.rows[-1]
+            row = kept.rows[-1]
             progress(
                 f"slot {slot + 1} of {count}, {case} at {level:g}: blind {100.0 * row['error_m']:.1f} cm, known "
                 f"{100.0 * row['known_error_m']:.1f} cm, bound {100.0 * row['bound_m']:.1f} cm at {snr_db:g} dB  "
-                f"{each:.1f} s each  {each * (len(left) - at) / 60.0:.0f} min left"
+                f"{clock.each_s:.1f} s each  {time_left}"
             )
     settings = {
         "small": small,

@@ -33,7 +33,7 @@ from august_jax.evaluation.threshold import WITHIN, said
 from august_jax.inference import Prior, known_craft
 from august_jax.physics import PlanarArray, factor_body, fisher_information, position_bound, tilt_bound
 from august_jax.physics.information import Spread
-from august_jax.progress import Progress
+from august_jax.progress import Progress, TimeLeft
 from august_jax.scene import procedural_airframe, rotation_from_euler
 from august_jax.schemes.matched_field import expected_errors
 
@@ -116,8 +116,8 @@ def searched(small: bool, progress: Progress = print, lines: Path | None = None)
         library, prior = known_craft(config, targets, progress=progress), Prior.from_config(config)
         samples = fresh(config, targets, count)
         bound = SlotBound(config, targets, samples)
-    began = time.perf_counter()
-    for at, (slot, snr) in enumerate(left, 1):
+    clock = TimeLeft(len(left))
+    for slot, snr in left:
         predicted, found = look(library, prior, samples, slot, snr)
         own = bound.at(slot, snr, predicted)
         position = (
@@ -131,7 +131,7 @@ def searched(small: bool, progress: Progress = print, lines: Path | None = None)
         kept.add({"slot": slot, "snr_db": snr, "m": list(map(float, position)), "deg": list(map(float, tilt))})
         progress(
             f"posterior of slot {slot + 1} of {count} at {snr:g} dB: {1e2 * position[0]:.2g} cm, bound "
-            f"{1e2 * position[2]:.2g} cm; {(time.perf_counter() - began) / at * (len(left) - at) / 60.0:.1f} min left"
+            f"{1e2 * position[2]:.2g} cm; {clock.after_one()}"
         )
     rows = {(row["slot"], row["snr_db"]): row for row in kept.rows}
 

@@ -36,7 +36,7 @@ from august_jax.evaluation import calibration, threshold_db
 from august_jax.evaluation.explanations import ONE, RADIUS_DEG, arms, effective_number, explanations, turned_deg
 from august_jax.evaluation.threshold import WITHIN, said
 from august_jax.inference import Library, Prior, known_craft
-from august_jax.progress import Progress
+from august_jax.progress import Progress, TimeLeft
 from august_jax.schemes.matched_field import expected_errors
 from august_jax.signal.roi import Subspace
 
@@ -117,15 +117,15 @@ def compute(
     scenes = _Scenes(config, known, count, progress)
     for name in dict.fromkeys(name for _, name, _ in left):
         scenes.of(name)  # all that is tabulated comes first: what time is left is then known
-    began = told = time.monotonic()
+    clock, told = TimeLeft(len(left)), time.monotonic()
     for at, (slot, name, snr_db) in enumerate(left, 1):
         kept.add({"case": name, "slot": slot, "snr_db": float(snr_db), **_looked(scenes.of(name), slot, snr_db)})
-        now = time.monotonic()
-        if now - told > 20.0 or at == len(left):
-            told, each = now, (now - began) / at
+        time_left = clock.after_one()
+        if time.monotonic() - told > 20.0 or at == len(left):
+            told = time.monotonic()
             progress(
-                f"slot {slot + 1} of {count}, {name}, {snr_db:g} dB: {at} of {len(left)} searches, {each:.1f} s each, "
-                f"{each * (len(left) - at) / 60.0:.0f} min left"
+                f"slot {slot + 1} of {count}, {name}, {snr_db:g} dB: {at} of {len(left)} searches, "
+                f"{clock.each_s:.1f} s each, {time_left}"
             )
     results = {**columns(kept.rows), "crafts": np.array(len(config.target.airframes))}
     settings = {

@@ -17,7 +17,6 @@ was. Another estimator needs another folder. Five seconds a slot and SNR on two 
 from __future__ import annotations
 
 import argparse
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -37,7 +36,7 @@ from august_jax.data.observe import draw_prediction
 from august_jax.evaluation import calibration, metrics
 from august_jax.evaluation.explanations import arms
 from august_jax.inference import Library, Posterior, Prior, find_craft, known_craft, refined
-from august_jax.progress import Progress
+from august_jax.progress import Progress, TimeLeft
 from august_jax.scene.airframes import Airframe
 from august_jax.scene.mesh_files import FORMATS
 from august_jax.schemes.matched_field import expected_errors
@@ -159,7 +158,7 @@ def _explore(
         return
     samples = fresh(flown, flying, count)
     libraries: dict[int | None, tuple[Library, Prior]] = {}
-    began = time.monotonic()
+    clock = TimeLeft(len(left))
     for at, (slot, snr_db) in enumerate(left, 1):
         kind = int(samples.airframe[slot])
         without = kind if world.left_out else None
@@ -169,13 +168,11 @@ def _explore(
             own = replace(config, target=replace(config.target, airframes=names))
             libraries[without] = known_craft(own, known, progress=progress), Prior.from_config(own)
         lines.add({"world": name, **_looked(*libraries[without], samples, slot, snr_db, flying[kind].airframe, world)})
+        time_left = clock.after_one()
         if at == len(left) or left[at][0] != slot:
-            each = (time.monotonic() - began) / at
             mine = [row for row in lines.rows if row["slot"] == slot]
             errors = ", ".join(f"{100.0 * row['error_m']:.1f} cm at {row['snr_db']:g} dB" for row in mine)
-            progress(
-                f"{name} {slot + 1}/{count}: {errors}  {each:.1f} s each  {each * (len(left) - at) / 60.0:.0f} min left"
-            )
+            progress(f"{name} {slot + 1}/{count}: {errors}  {clock.each_s:.1f} s each  {time_left}")
 
 
 @streams.pin

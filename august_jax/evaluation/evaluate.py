@@ -26,7 +26,7 @@ from august_jax.evaluation.bound import Bound
 from august_jax.evaluation.score import Row, score
 from august_jax.inference import Library, known_craft
 from august_jax.models import Networks, State, reconstruct
-from august_jax.progress import Progress, silent
+from august_jax.progress import Progress, TimeLeft, silent
 from august_jax.scene.airframes import Airframe
 from august_jax.scene.cloud import position_estimate
 from august_jax.scene.pose import transform
@@ -100,7 +100,8 @@ def evaluate(
     rows: list[Row] = []
     deaf: dict[str, dict[str, float | None]] = {}
     bound = None
-    began, levels = time.monotonic(), config.evaluate.snr_db
+    levels = config.evaluate.snr_db
+    clock = TimeLeft(len(levels))
     for done, snr_db in enumerate(levels, 1):
         heard = {}
         for encoder, own in hearing.items():
@@ -134,12 +135,9 @@ def evaluate(
                     **{f"own_{metric}": value for metric, value in bound.at(snr_db, those.slots).items()},
                 }
             )
-        left = (time.monotonic() - began) / done * (len(levels) - done)
         errors = {row["scheme"]: row["mpe_m"] for row in rows[-len(lines) :] if row["mpe_m"] is not None}
-        progress(
-            f"SNR {snr_db:g} dB: MPE {', '.join(f'{name} {error:.3f}' for name, error in errors.items())} m  "
-            f"{left:.0f} s left"
-        )
+        told = ", ".join(f"{name} {error:.3f}" for name, error in errors.items())
+        progress(f"SNR {snr_db:g} dB: MPE {told} m  {clock.after_one()}")
     return rows
 
 

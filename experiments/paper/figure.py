@@ -7,7 +7,6 @@ A script holds one :class:`Figure` and hands it to :func:`main`, which computes 
 from __future__ import annotations
 
 import argparse
-import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -261,16 +260,3 @@ def legend_below(drawn: Picture, columns: int) -> None:
 def prefixed(words: str, progress: Progress) -> Progress:
     """Progress whose lines begin with these words."""
     return lambda line: progress(words + line)
-
-
-class Clock:
-    """Seconds left of some equal pieces, told as they are done."""
-
-    def __init__(self, pieces: int):
-        self._pieces, self._done, self._began = pieces, 0, time.monotonic()
-
-    def left(self) -> str:
-        """After one more piece."""
-        self._done += 1
-        each = (time.monotonic() - self._began) / self._done
-        return f"{each * (self._pieces - self._done) / 60.0:.1f} min left"

@@ -18,7 +18,7 @@ import jax
 import numpy as np
 from answered import Asked, row, slots_of, table, truth_of
 from campaign import SEED, Campaign, Numbers, Run, run_of
-from figure import INK, PAGE_IN, SEARCHED, Clock, Figure, legend_below, main, over_snr, plain, prefixed
+from figure import INK, PAGE_IN, SEARCHED, Figure, legend_below, main, over_snr, plain, prefixed
 
 from august_jax import streams
 from august_jax.app.plotting import new_figure
@@ -27,7 +27,7 @@ from august_jax.data import Sample, Target, fresh_samples, observed_anew, prepar
 from august_jax.evaluation import calibration
 from august_jax.evaluation.bound import Bound
 from august_jax.inference import known_craft
-from august_jax.progress import Progress
+from august_jax.progress import Progress, TimeLeft
 from august_jax.schemes import Truth
 
 FAMILY = "hexa"
@@ -81,7 +81,7 @@ def compute(campaign: Campaign) -> Numbers:
         *(Asked(name, name, config, known=known) for name in ("prediction", "mean_shape", "resampling")),
     ]
     search = Asked("search", "matched_field", config, networks["without"], library)
-    rows, clock = [], Clock(2 * len(scale.snr_db))
+    rows, clock = [], TimeLeft(2 * len(scale.snr_db))
     for name, own, targets in (("left out", left, prepare_targets(left, progress)), ("known", config, known)):
         count = max(scale.count // 2, 2)
         samples = fresh_samples(own, np.arange(count), targets, seed=SEED, domain="evaluate")
@@ -91,7 +91,7 @@ def compute(campaign: Campaign) -> Numbers:
             found, bound = _at(world, snr_db, asked, search if snr_db in SEARCHED_DB and library else None,
                                max(scale.searched // 3, 1), bound, progress)  # fmt: skip
             rows += found
-            progress(f"{name}, {snr_db:g} dB  {clock.left()}")
+            progress(f"{name}, {snr_db:g} dB  {clock.after_one()}")
         jax.clear_caches()
     return table(rows)
 

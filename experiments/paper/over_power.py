@@ -14,13 +14,14 @@ import jax
 import numpy as np
 from answered import Asked, row, slots_of, truth_of
 from campaign import SEED, Campaign, Numbers, Run
-from figure import INK, MARKS, PAGE_IN, Clock, legend_below, plain
+from figure import INK, MARKS, PAGE_IN, legend_below, plain
 
 from august_jax import streams
 from august_jax.app.plotting import new_figure
 from august_jax.config import Config, override
 from august_jax.data import Sample, fresh_samples, observed_anew, prepare_targets
 from august_jax.evaluation.bound import Bound
+from august_jax.progress import TimeLeft
 
 _LOUD_DBM = 60.0
 SCORED = ("wd_db", "wd_se_db", "mcd_db", "mpe_m", "mpe_se_m")
@@ -52,7 +53,7 @@ def over_power(campaign: Campaign, cases: Sequence[Case], count: int) -> Numbers
     powers = np.zeros(0)
     found: list[list[list[float]]] = []
     deaf: list[tuple[float, float]] = []
-    clock = Clock(len(cases))
+    clock = TimeLeft(len(cases))
     for case in cases:
         networks = campaign.networks(case.run)
         config = override(campaign.config(case.run), case.flown)
@@ -80,7 +81,7 @@ def over_power(campaign: Campaign, cases: Sequence[Case], count: int) -> Numbers
             )
         prediction, floor = (row(Asked(name, name, config), slots, size_m) for name in ("prediction", "resampling"))
         deaf.append((prediction["mpe_m"], floor["wd_db"]))
-        campaign.progress(f"{case.label}: {count} slots at {len(powers)} powers  {clock.left()}")
+        campaign.progress(f"{case.label}: {count} slots at {len(powers)} powers  {clock.after_one()}")
         jax.clear_caches()
     names = ("snr_db", *SCORED, "bound_m")
     values = np.array(found)

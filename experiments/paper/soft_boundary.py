@@ -22,7 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 from answered import EXPECTED, Asked, row, slots_of, table, truth_of
 from campaign import SEED, Campaign, Numbers, Run, run_of
-from figure import INK, PAGE_IN, SEARCHED, Clock, Figure, legend_below, main, over_snr, prefixed
+from figure import INK, PAGE_IN, SEARCHED, Figure, legend_below, main, over_snr, prefixed
 from matplotlib.ticker import NullLocator
 
 from august_jax import streams
@@ -33,6 +33,7 @@ from august_jax.evaluation import threshold_db
 from august_jax.evaluation.bound import Bound
 from august_jax.evaluation.threshold import METRICS
 from august_jax.inference import known_craft
+from august_jax.progress import TimeLeft
 
 DEEPER = 16.0
 POWER_DBM = {"smoke": 2.0, "laptop": 0.0, "paper": 35.0}
@@ -62,14 +63,14 @@ def compute(campaign: Campaign) -> Numbers:
     library = known_craft(config, targets, progress=campaign.progress) if scale.searched else None
     near, far = config.flight.box_m[1]
     depths = np.geomspace(near, far, 7 if scale.count > 100 else 3)
-    clock, rows = Clock(len(depths)), []
+    clock, rows = TimeLeft(len(depths)), []
     for depth in depths:
         rows += _at(float(depth), config, samples, targets, [
             Asked("AUGUST", "august", config, networks),
             *([Asked("search", "matched_field", config, library=library)] if library else []),
             *(Asked(name, name, config, known=targets) for name in ("prediction", "up", "mean_shape", "resampling")),
         ], max(scale.searched // 2, 1), campaign.progress)  # fmt: skip
-        campaign.progress(f"depth {depth:.1f} m  {clock.left()}")
+        campaign.progress(f"depth {depth:.1f} m  {clock.after_one()}")
     jax.clear_caches()
     return table(rows)
 

@@ -18,13 +18,14 @@ from __future__ import annotations
 import jax
 import numpy as np
 from campaign import SCALES, SEED, Campaign, Numbers, Run, run_of
-from figure import INK, PAGE_IN, Clock, Figure, main, plain
+from figure import INK, PAGE_IN, Figure, main, plain
 
 from august_jax.app.plotting import new_figure
 from august_jax.config import override
 from august_jax.data import channels_along, prepare_targets
 from august_jax.inference import known_craft
 from august_jax.pipeline import draw_scenario, sense
+from august_jax.progress import TimeLeft
 from august_jax.schemes import follow_flight
 from august_jax.tracking import predictor_for
 
@@ -58,7 +59,7 @@ def compute(campaign: Campaign) -> Numbers:
     errors = {line: np.full(shape, np.nan) for line in LINES}
     lost, told, shown = {line: np.zeros(shape, bool) for line in LINES[1:]}, [], []
     targets = prepare_targets(campaign.config(kinds[0][1]), campaign.progress)
-    clock = Clock(scale.flights * len(kinds))
+    clock = TimeLeft(scale.flights * len(kinds))
     for kind, (style, run) in enumerate(kinds):
         networks = campaign.networks(run)
         config = override(campaign.config(run), (f"flight.style={style}",))
@@ -73,14 +74,14 @@ def compute(campaign: Campaign) -> Numbers:
             for line, places in (("predicted", track.predicted), ("estimated", track.estimated_position)):
                 errors[line][kind, number] = np.linalg.norm(places - track.position, axis=-1)
             lost["estimated"][kind, number] = track.lost
-            left = clock.left()
+            left = clock.after_one()
             if (number + 1) % 10 == 0 or number + 1 == scale.flights:
                 campaign.progress(f"{style}: {number + 1} of {scale.flights} flights  {left}")
         jax.clear_caches()
     if scale.tracked:
         base = campaign.config(kinds[0][1])
         library = known_craft(base, targets, progress=campaign.progress)
-        clock = Clock(scale.tracked * len(kinds))
+        clock = TimeLeft(scale.tracked * len(kinds))
         for kind, (style, _) in enumerate(kinds):
             config = override(base, (f"flight.style={style}",))
             for number in range(scale.tracked):
@@ -94,7 +95,7 @@ def compute(campaign: Campaign) -> Numbers:
                 track = follow_flight(library, config, scenario, channels, seed=SEED + number, snr_db=SNR_DB).track
                 errors["search"][kind, number] = np.linalg.norm(track.estimated_position - track.position, axis=-1)
                 lost["search"][kind, number] = track.lost
-                campaign.progress(f"{style}: {number + 1} of {scale.tracked} flights searched  {clock.left()}")
+                campaign.progress(f"{style}: {number + 1} of {scale.tracked} flights searched  {clock.after_one()}")
     return {
         "label": np.array(told),
         "places_m": np.array(shown),
