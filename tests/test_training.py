@@ -1,6 +1,8 @@
 """The training step and the run around it: it learns, it continues to the same numbers, it stops when it must."""
 
+import errno
 import json
+import re
 import shutil
 from dataclasses import replace
 
@@ -8,12 +10,13 @@ import jax
 import numpy as np
 import pytest
 
+from august_jax.app.cli.messages import told
 from august_jax.config import preset
 from august_jax.data.fields import Batch
-from august_jax.files import DamagedFile
+from august_jax.files import DamagedFile, read_npz
 from august_jax.models import reconstruct
 from august_jax.signal.roi import Coefficients
-from august_jax.training import Checkpoints, compiled_step, initial_state, load_weights, save_weights, train
+from august_jax.training import Checkpoints, compiled_step, initial_state, load_weights, not_finite, save_weights, train
 from august_jax.training.checkpoint import flatten, warm_start
 
 SMOKE = preset("smoke")
@@ -164,16 +167,62 @@ def test_weights_without_a_checkpoint_are_set_aside_and_never_written_over(finis
     }
 
 
-def test_a_loss_that_is_not_finite_stops_the_run_by_name(tmp_path):
-    def poisoned(step):
-        batch = next_batch(step)
-        if step == 1:
-            batch.cloud[0, :, 4] = np.nan
-        return batch
+def poisoned(step):
+    """A cloud with NaN in two samples of the third step, and a channel with infinity in one."""
+    batch = next_batch(step)
+    if step == 2:
+        batch.cloud[[3, 5], 4:, 4] = np.nan
+        batch.coefficients.values[6, 0, 1, 1] = np.inf
+    return batch
 
-    with pytest.raises(FloatingPointError, match="step 2 gave .* not finite in .*material"):
+
+@pytest.mark.parametrize("log_every", [1, 4])
+def test_a_batch_that_is_not_finite_stops_the_run_is_told_and_kept(finished, tmp_path, log_every):
+    """Seen up to ``log_every`` steps later; mended, the run goes on to the numbers of one that met no such batch."""
+    seldom = replace(CONFIG, train=replace(CONFIG.train, log_every=log_every))
+    for _ in range(2):  # going on meets it again
+        with pytest.raises(FloatingPointError) as caught:
+            train(seldom, poisoned, tmp_path)
+    text = str(caught.value)
+    assert re.match(r"training: step 3 gave .* not finite in .*loss, .*material", text)
+    assert "of cloud 16 in 2 of 8 rows, first in row 3; of coefficients.values 1 in 1 of 8 rows, first in row 6" in text
+    assert "goes on from step 2" in text
+    assert len(told(caught.value).splitlines()) <= 6
+    kept = tmp_path / "not-finite-step-3.npz"
+    assert str(kept) in text
+    batch, arrays = poisoned(2), read_npz(kept)
+    assert list(arrays) == ["predicted", "snr_db", "cloud", "coefficients.values", "coefficients.centre"]
+    np.testing.assert_array_equal(arrays["cloud"], batch.cloud)
+    np.testing.assert_array_equal(arrays["coefficients.values"], batch.coefficients.values)
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "checkpoints", "config.yaml", "metrics.jsonl", "weights.npz", kept.name
+    }  # fmt: skip
+    same(train(seldom, next_batch, tmp_path), finished[1])
+
+
+def test_a_loss_that_diverges_on_finite_data_is_told_as_such(tmp_path):
+    def far_out(config):
+        layout, state = initial_state(config)
+        return layout, state._replace(params=1e30 * state.params)
+
+    with pytest.raises(FloatingPointError, match="its batch is finite(.|\n)*lower train.learning_rate") as caught:
+        train(CONFIG, next_batch, tmp_path, begin=far_out)
+    assert "step 1 gave" in str(caught.value) and "go on from the start" in str(caught.value)
+    np.testing.assert_array_equal(read_npz(tmp_path / "not-finite-step-1.npz")["cloud"], next_batch(0).cloud)
+
+
+def test_a_batch_that_finds_no_room_does_not_hide_the_step(tmp_path, monkeypatch):
+    def full(path, batch):
+        raise OSError(errno.ENOSPC, "No space left on device", str(path))
+
+    monkeypatch.setattr(not_finite, "keep_batch", full)
+    with pytest.raises(FloatingPointError, match="step 3 gave .* cannot be kept in .*No space left.*make room"):
         train(CONFIG, poisoned, tmp_path)
-    assert not (tmp_path / "weights.npz").exists()
+
+
+def test_a_validation_that_is_not_finite_stops_the_run(tmp_path):
+    with pytest.raises(FloatingPointError, match="after step 2 the validation .* not finite in position_error;"):
+        train(CONFIG, next_batch, tmp_path, validate=lambda *_: {"position_error": float("nan"), "other": 1.0})
 
 
 def test_a_step_clips_decays_and_averages():

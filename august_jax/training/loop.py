@@ -2,7 +2,7 @@
 
 The folder holds ``config.yaml``; ``metrics.jsonl``, one object a log point; ``curves.png`` if the caller says who
 draws it; ``checkpoints/``; and ``weights.npz``, the moving average of the parameters as of the last save, which is
-what evaluation loads.
+what evaluation loads. Where numbers were not finite it also holds the batch that they came of.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from august_jax.files import DamagedFile, naming, occupying, read_npz, rename, w
 from august_jax.models import State
 from august_jax.progress import Progress, silent
 from august_jax.training.checkpoint import Checkpoints, save_weights, warm_start
+from august_jax.training.not_finite import not_finite, stopped
 from august_jax.training.step import ParameterLayout, TrainState, compiled_step, initial_state
 
 NextBatch = Callable[[int], Any]
@@ -37,7 +38,7 @@ Begin = Callable[[Config], tuple[ParameterLayout, TrainState]]
 """Configuration -> what is trained, and its state before the first step."""
 
 Validate = Callable[[nnx.GraphDef, State, int], Mapping[str, float | int]]
-"""(graphdef, averaged parameters, steps done) -> numbers to log."""
+"""(graphdef, averaged parameters, steps done) -> finite numbers to log."""
 
 Draw = Callable[[Path, Path], None]
 """(metrics.jsonl, picture to write); ``plotting.training_curves`` is one."""
@@ -80,7 +81,9 @@ def train(
         ValueError: ``weights`` is damaged, holds numbers that are not finite or nothing that fits; or the folder holds
             a run of another configuration, of more steps, or with a damaged checkpoint.
         Occupied: another process trains in that folder.
-        FloatingPointError: the loss is not finite; names the step and the terms.
+        FloatingPointError: the loss, its gradient or what ``validate`` says is not finite. It names the step and the
+            terms, whether the step's batch is to blame, and the file that keeps it, ``not-finite-step-N.npz``
+            (:mod:`august_jax.training.not_finite`). The folder goes on from its last checkpoint as before.
     """
     settings = config.train
     layout, state = begin(config)
@@ -130,7 +133,11 @@ def train(
             saving = done % settings.save_every == 0 or done == settings.steps
             if not (saving or done % settings.log_every == 0):
                 continue
-            line = {"step": done, **_average(jax.device_get(gathered), done)}
+            gathered = jax.device_get(gathered)
+            for step, numbers in enumerate(gathered, done - len(gathered)):
+                if wrong := not_finite(numbers):
+                    raise stopped(step + 1, wrong, pool.submit(next_batch, step).result, out, checkpoints.latest)
+            line = {"step": done, **_average(gathered)}
             now = time.perf_counter()
             timed = len(gathered) - (done - len(gathered) == start)  # the first step compiled
             line["samples_per_s"] = timed * settings.batch / max(now - mark, 1e-9)
@@ -140,6 +147,12 @@ def train(
                 save_weights(out / weights_file, averaged)
                 if validate is not None:
                     line |= validate(layout.graphdef, averaged, done)
+                    if wrong := not_finite(line):
+                        raise FloatingPointError(
+                            f"training: after step {done} the validation gave values that are not finite in "
+                            f"{', '.join(wrong)}; look for them in what it is validated on, or train in another folder "
+                            "with a lower train.learning_rate"
+                        )
             with naming(metrics), metrics.open("a", encoding="utf-8") as file:
                 file.write(json.dumps({name: float(f"{value:.6g}") for name, value in line.items()}) + "\n")
                 file.flush()
@@ -153,14 +166,7 @@ def train(
     return state
 
 
-def _average(gathered: list[Mapping[str, np.ndarray]], done: int) -> dict[str, float]:
-    for index, numbers in enumerate(gathered):
-        wrong = [name for name, value in numbers.items() if not np.isfinite(value)]
-        if wrong:
-            raise FloatingPointError(
-                f"training: step {done - len(gathered) + index + 1} gave values that are not finite in "
-                f"{', '.join(wrong)}; lower train.learning_rate, or look for such values in the data"
-            )
+def _average(gathered: list[Mapping[str, np.ndarray]]) -> dict[str, float]:
     return {name: float(np.mean([numbers[name] for numbers in gathered])) for name in gathered[0]}
 
 
