@@ -10,11 +10,14 @@ import pytest
 import august_jax
 
 ROOT = Path(august_jax.__file__).parent
-BASE = {"constants", "config", "files", "arrays", "progress", "streams"}
+BASE = {"constants", "config", "files", "arrays", "progress", "streams", "mesh", "hosts", "memory"}
 ALLOWED = {
     "constants": set(),
     "arrays": set(),
     "progress": set(),
+    "mesh": set(),
+    "hosts": set(),
+    "memory": set(),
     "streams": {"arrays"},
     "files": set(),
     "config": BASE,

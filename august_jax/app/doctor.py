@@ -14,8 +14,8 @@ from typing import NamedTuple
 
 from august_jax import UNFUSED_SUMS, config, names_a_file
 from august_jax.app.devices import describe_backend_error
-from august_jax.app.machine import memory
 from august_jax.files import cache_folder
+from august_jax.memory import memory
 
 PACKAGES = (
     "jax",

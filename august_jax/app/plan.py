@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 
-from august_jax.app.machine import memory
 from august_jax.config import Config
 
 Plan = Mapping[str, Any]
@@ -65,35 +64,40 @@ def simulation(config: Config, out: Path, part: tuple[int, int] = (1, 1)) -> Pla
     }
 
 
-def training(config: Config, out: Path) -> Plan:
+def training(config: Config, out: Path, devices: int | None = None) -> Plan:
     """Of ``august train``: one step is compiled, and a few are made on a batch that is made up.
+
+    Args:
+        config: of the training.
+        out: where it would write.
+        devices: how many share each batch; None takes all that JAX sees.
 
     Returns:
         ``steps``, ``parameters``, ``compile_seconds``, ``seconds`` (None where the batch does not fit the memory),
-        ``memory_bytes`` of the compiled step, ``available_bytes`` (None where nobody tells), ``batch``, ``batch_fits``
-        (the largest that is expected to fit, where this one does not), ``disk_bytes`` of weights and checkpoints, and
-        ``free_bytes``.
+        ``memory_bytes`` of the compiled step and ``available_bytes`` (None where nobody tells), each of one of the
+        ``devices``, ``batch``, ``batch_fits`` (one that fits, where this one does not; 0 where none does),
+        ``disk_bytes`` of weights and checkpoints, and ``free_bytes``.
+
+    Raises:
+        ValueError: more devices than there are, or a batch that they cannot share equally.
     """
     import jax
 
+    from august_jax.mesh import SPLIT, WHOLE, check_divides, data_mesh, placed
+    from august_jax.training import fit
     from august_jax.training.checkpoint import bytes_for
-    from august_jax.training.step import compiled_step, initial_state
+    from august_jax.training.step import initial_state
 
-    settings = config.train
+    settings, mesh = config.train, data_mesh(devices)
+    check_divides(settings.batch, mesh)
     layout, state = initial_state(config)
-    batch = _made_up_batch(config)
+    state, batch = placed(state, mesh, WHOLE), placed(_made_up_batch(config), mesh, SPLIT)
     began = time.perf_counter()
-    program = compiled_step.lower(layout.loss, settings, state, batch).compile()
+    program = fit.compiled(layout.loss, settings, state, batch, mesh)
     compile_s = time.perf_counter() - began
-    sizes = program.memory_analysis()
-    needed = None
-    if sizes is not None:
-        needed = int(sizes.argument_size_in_bytes + sizes.output_size_in_bytes + sizes.temp_size_in_bytes)
-        needed -= int(sizes.alias_size_in_bytes)
-    available = _available()
-    fits = needed is None or available is None or needed < 0.9 * available
+    needed, available = fit.bytes_needed(program), fit.bytes_available(state, mesh)
     seconds, most = None, None
-    if fits:
+    if fit.fits(needed, available):
         state, numbers = program(state, batch)
         jax.block_until_ready(numbers)
         began = time.perf_counter()
@@ -101,12 +105,13 @@ def training(config: Config, out: Path) -> Plan:
             state, numbers = program(state, batch)
         jax.block_until_ready(numbers)
         seconds = settings.steps * (time.perf_counter() - began) / _TIMED
-    elif needed is not None and available is not None:  # what a step holds grows with the batch
-        most = max(int(settings.batch * 0.9 * available / needed), 1)
+    elif needed is not None and available is not None:
+        most = fit.largest_batch(layout.loss, settings, state, batch, mesh, needed, available) or 0
     parameters = int(state.params.size)
     return {
         "steps": settings.steps,
         "batch": settings.batch,
+        "devices": mesh.size,
         "parameters": parameters,
         "compile_seconds": compile_s,
         "seconds": seconds,
@@ -192,17 +197,6 @@ def _made_up_batch(config: Config) -> Any:
     if config.model.scheme == "refchannel":
         batch = batch._replace(reference_channel=batch.heard)
     return batch
-
-
-def _available() -> int | None:
-    """Bytes that a compiled program may have on the device that computes."""
-    import jax
-
-    told = jax.devices()[0].memory_stats()
-    if told and "bytes_limit" in told:
-        return int(told["bytes_limit"] - told.get("bytes_in_use", 0))
-    found = memory()
-    return found.free if found else None
 
 
 def _existing(out: Path) -> Path:

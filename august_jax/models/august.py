@@ -39,9 +39,10 @@ from jaxtyping import Float, Key
 from august_jax import streams
 from august_jax.arrays import Array
 from august_jax.config import Config, Sampler
+from august_jax.mesh import own_rows
 from august_jax.models.craft import KIND_SIZE, READING_SIZE, CraftFrame, Reading, RegionFrame, frame_of
 from august_jax.models.denoiser import Denoiser
-from august_jax.models.diffusion import PointSampler, Schedule, add_noise, ancestral, dpm, draw_steps
+from august_jax.models.diffusion import PointSampler, Schedule, add_noise, ancestral, dpm, draw_noise, draw_steps
 from august_jax.models.encoder import ChannelInput, Encoder, Heard, Seen
 from august_jax.models.flow import RealNVP
 from august_jax.models.layers import MLP, dense
@@ -195,7 +196,7 @@ class August(nnx.Module):
                 condition = _context(condition, truth)
             points = frame.into(points, truth)
         step = draw_steps(step_key, clouds, self.schedule)
-        noise = jax.random.normal(noise_key, points.shape)
+        noise = draw_noise(noise_key, points)
         noisy = add_noise(points, noise, step, self.schedule)
         error = (noise - self.denoiser(noisy, step, condition)) ** 2
         terms["position"] = jnp.mean(jnp.sum(error[..., :3], axis=-1))
@@ -326,7 +327,8 @@ def _check_batch(predicted: Array, snr_db: Array, cloud: Array) -> None:
 
 
 def _sample(key: Array, mean: jax.Array, log_variance: jax.Array) -> jax.Array:
-    return mean + jnp.exp(0.5 * log_variance) * jax.random.normal(key, mean.shape)
+    noise = own_rows(lambda rows: jax.random.normal(key, (rows, *mean.shape[1:])), len(mean))
+    return mean + jnp.exp(0.5 * log_variance) * noise
 
 
 def _context(condition: Array, reading: Reading) -> jax.Array:

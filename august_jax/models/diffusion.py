@@ -26,6 +26,7 @@ import numpy as np
 from jaxtyping import Float, Int, Key
 
 from august_jax.arrays import Array
+from august_jax.mesh import own_rows
 
 Denoise = Callable[[jax.Array, jax.Array], jax.Array]
 """(points (B, P, D), step s ()) -> estimated noise (B, P, D)."""
@@ -63,8 +64,15 @@ def draw_steps(key: Key[Array, ""], count: int, schedule: Schedule) -> Int[jax.A
 
     A common random shift of a regular grid has the same marginal as independent draws and less variance.
     """
-    places = (jax.random.uniform(key) + jnp.arange(count) / count) % 1.0
+    places = own_rows(lambda rows: (jax.random.uniform(key) + jnp.arange(rows) / rows) % 1.0, count)
     return jnp.minimum(1 + (places * schedule.steps).astype(jnp.int32), schedule.steps)
+
+
+def draw_noise(
+    key: Key[Array, ""], points: Float[Array, "batch points dimensions"]
+) -> Float[jax.Array, "batch points dimensions"]:
+    """Unit noise of the points' shape (B, P, D)."""
+    return own_rows(lambda rows: jax.random.normal(key, (rows, *points.shape[1:])), len(points))
 
 
 def add_noise(

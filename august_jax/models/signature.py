@@ -19,9 +19,10 @@ from jaxtyping import Float, Key
 
 from august_jax.arrays import Array
 from august_jax.config import TimeEmbedding
+from august_jax.mesh import own_rows
 from august_jax.models.craft import HARMONICS
 from august_jax.models.denoiser import Denoiser
-from august_jax.models.diffusion import PointSampler, Schedule, add_noise, draw_steps
+from august_jax.models.diffusion import PointSampler, Schedule, add_noise, draw_noise, draw_steps
 
 _NUMBERS = 2 * HARMONICS
 _WIDTHS = (256, 256, 256)
@@ -42,7 +43,7 @@ class Signature(nnx.Module):
         """Mean squared error of the estimated noise over the 16 numbers and the clouds, ()."""
         step_key, noise_key = jax.random.split(key)
         clean = _SCALE * harmonics[:, None]
-        step, noise = draw_steps(step_key, len(clean), self.schedule), jax.random.normal(noise_key, clean.shape)
+        step, noise = draw_steps(step_key, len(clean), self.schedule), draw_noise(noise_key, clean)
         found = self.denoiser(add_noise(clean, noise, step, self.schedule), step, condition)
         return jnp.mean((noise - found) ** 2)
 
@@ -56,4 +57,5 @@ class Signature(nnx.Module):
 
 def shaken(key: Key[Array, ""], harmonics: Float[Array, "*batch 16"]) -> Float[jax.Array, "*batch 16"]:
     """For training: harmonics a little off, as those that are drawn will be."""
-    return jnp.asarray(harmonics) + _JITTER * jax.random.normal(key, harmonics.shape)
+    noise = own_rows(lambda rows: jax.random.normal(key, (rows, *harmonics.shape[1:])), len(harmonics))
+    return jnp.asarray(harmonics) + _JITTER * noise

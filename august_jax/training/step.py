@@ -11,7 +11,7 @@ of kernels instead of several for each of a hundred arrays, and the step compile
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple, TypeVar
 
@@ -20,15 +20,17 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 from flax import nnx
+from jax.sharding import Mesh
 from jaxtyping import Float, Int, Key
 
 from august_jax import streams
 from august_jax.arrays import Array
 from august_jax.config import Config, TrainConfig
 from august_jax.data.fields import Batch
+from august_jax.mesh import SPLIT, WHOLE, mean_over_devices, spread
 from august_jax.models import August, State, create
 
-Loss = Callable[[Array, Array, Any], tuple[Array, dict[str, Array]]]
+Loss = Callable[[Array, Array, Any], tuple[Array, Mapping[str, Array]]]
 """(parameters (n,), key, batch) -> the loss () and its terms by name; hashable, so that it may be static under jit."""
 
 _CLIP = 1.0
@@ -110,16 +112,25 @@ def laid_out(kind: type[L], train: TrainConfig, graphdef: nnx.GraphDef, arrays: 
 
 
 def train_step(
-    loss: Loss, train: TrainConfig, state: TrainState, batch: Any
+    loss: Loss, train: TrainConfig, state: TrainState, batch: Any, mesh: Mesh | None = None
 ) -> tuple[TrainState, dict[str, Float[Array, ""]]]:
     """The state after one step on a batch of what ``loss`` takes, and the numbers of the step, each a float32 ().
 
     The numbers are ``loss``, its unweighted terms, and ``gradient``, the global norm before clipping.
+
+    With a ``mesh`` of several devices each works on its rows of the batch, and losses and gradients are averaged over
+    them: a loss must be a mean over rows, whose draws are :func:`~august_jax.mesh.own_rows`.
     """
     # On a CPU each shape drawn by the default generator costs 1-4 s of compilation, by "rbg" 0.3 s.
     seed = jax.random.key_data(jax.random.fold_in(state.key, state.step))
     key = jax.random.wrap_key_data(jnp.concatenate([seed, seed]), impl="rbg")
-    (value, terms), gradient = jax.value_and_grad(loss, has_aux=True)(state.params, key, batch)
+
+    def found(params: Array, key: Array, batch: Any) -> Any:
+        return mean_over_devices(jax.value_and_grad(loss, has_aux=True)(params, key, batch))
+
+    if mesh is not None:
+        found = spread(found, mesh, (WHOLE, WHOLE, SPLIT), WHOLE)
+    (value, terms), gradient = found(state.params, key, batch)
     updates, opt_state = optimizer(train).update(gradient, state.opt_state, state.params)
     params = optax.apply_updates(state.params, updates)
     done = state.step + 1
@@ -129,5 +140,5 @@ def train_step(
     return TrainState(params, ema, opt_state, done, state.key), numbers
 
 
-compiled_step = jax.jit(train_step, static_argnums=(0, 1), donate_argnums=2)
-""":func:`train_step`, compiled once for equal losses and settings; the state that goes in is donated."""
+compiled_step = jax.jit(train_step, static_argnums=(0, 1), static_argnames="mesh", donate_argnums=2)
+""":func:`train_step`, compiled once for equal losses, settings and meshes; the state that goes in is donated."""

@@ -11,9 +11,9 @@ import jax
 
 from august_jax import UNFUSED_SUMS, pipeline
 from august_jax.app import cli, doctor, sums
-from august_jax.app.machine import Memory, memory
 from august_jax.config import preset
 from august_jax.data import bytes_of
+from august_jax.memory import Memory, memory
 from august_jax.tracking.predictors import lstm
 
 

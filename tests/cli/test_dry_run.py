@@ -4,6 +4,7 @@ import json
 
 import pytest
 
+from august_jax import memory
 from august_jax.app import cli, plan
 from august_jax.app.cli.dry import short_of
 from august_jax.config import override, preset
@@ -51,7 +52,7 @@ def test_training_is_timed_and_sized_here(capsys, tmp_path, monkeypatch):
 def test_a_batch_that_does_not_fit_is_answered_with_one_that_does(monkeypatch, tmp_path):
     small = override(preset("smoke"), ["train.steps=1"])
     needed = plan.training(small, tmp_path)["memory_bytes"]
-    monkeypatch.setattr(plan, "_available", lambda: needed // 2)
+    monkeypatch.setattr(memory, "for_a_program", lambda _: needed // 2)
     found = plan.training(small, tmp_path)
     assert found["seconds"] is None and 1 <= found["batch_fits"] < 16
     assert f"train.batch={found['batch_fits']} fits" in short_of(found)

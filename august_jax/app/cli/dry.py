@@ -38,7 +38,12 @@ def short_of(plan: Mapping[str, Any]) -> str | None:
     if plan.get("batch_fits") is not None:
         return (
             f"train.batch: {plan['batch']} asks for {size(plan['memory_bytes'])} of memory, and "
-            f"{size(plan['available_bytes'])} are free; train.batch={plan['batch_fits']} fits"
+            f"{size(plan['available_bytes'])} are free; "
+            + (
+                f"train.batch={plan['batch_fits']} fits"
+                if plan["batch_fits"]
+                else "no batch fits; take smaller networks"
+            )
         )
     return None
 

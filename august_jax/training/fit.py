@@ -1,0 +1,115 @@
+"""A gradient step compiled before the run begins, and refused where the devices have no room for it.
+
+What a compiled step holds on each device is counted by XLA: what goes in and comes out, less what shares a place, and
+all that lies between. It grows with the batch, M = F + s B, not quite in proportion: parameters, their averages and
+gradients are there whatever the batch. The batch that is advised was compiled, too, and fits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import numpy as np
+from jax.sharding import Mesh
+
+from august_jax import memory
+from august_jax.arrays import Array
+from august_jax.config import TrainConfig
+from august_jax.training.step import Loss, TrainState, compiled_step
+
+Step = Callable[[TrainState, Any], tuple[TrainState, dict[str, Array]]]
+"""(state, batch) -> the next state, and the step's numbers; the state that goes in is donated."""
+
+_SHARE = 0.9
+"""Of what is free: beside the program, batches are made."""
+_TRIES = 4
+
+
+def fitted_step(loss: Loss, train: TrainConfig, state: TrainState, batch: Any, mesh: Mesh) -> Step:
+    """The step compiled for such a state and batch, which lie on the mesh.
+
+    Raises:
+        ValueError: it needs more memory than a device has; names a batch that fits.
+    """
+    program = compiled(loss, train, state, batch, mesh)
+    needed, available = bytes_needed(program), bytes_available(state, mesh)
+    if fits(needed, available):
+        return program
+    assert needed is not None and available is not None
+    advised = largest_batch(loss, train, state, batch, mesh, needed, available)
+    raise ValueError(
+        f"train.batch: {train.batch} samples ask for {_size(needed)} of memory on each device, and {_size(available)} "
+        + (
+            f"are free; set train.batch={advised}"
+            if advised
+            else "are free, where no batch fits; take smaller networks"
+        )
+    )
+
+
+def fits(needed: int | None, available: int | None) -> bool:
+    """Whether so many bytes are left with room for what else is done; true where nobody tells."""
+    return needed is None or available is None or needed <= _SHARE * available
+
+
+def compiled(loss: Loss, train: TrainConfig, state: TrainState, batch: Any, mesh: Mesh) -> jax.stages.Compiled:
+    """The step compiled for arrays, or their shapes, of a state and a batch."""
+    return compiled_step.lower(loss, train, state, batch, mesh=mesh).compile()
+
+
+def bytes_needed(program: jax.stages.Compiled) -> int | None:
+    """What a program holds on each device at its most; None where the compiler does not tell."""
+    sizes = program.memory_analysis()
+    if sizes is None:
+        return None
+    held = sizes.argument_size_in_bytes + sizes.output_size_in_bytes + sizes.temp_size_in_bytes
+    return int(held - sizes.alias_size_in_bytes)
+
+
+def bytes_available(state: TrainState, mesh: Mesh) -> int | None:
+    """What a step may hold on each device: what is free, and what its state holds already."""
+    free = memory.for_a_program(mesh)
+    return None if free is None else free + sum(leaf.nbytes for leaf in jax.tree.leaves(state))
+
+
+def largest_batch(
+    loss: Loss, train: TrainConfig, state: TrainState, batch: Any, mesh: Mesh, needed: int, available: int
+) -> int | None:
+    """A batch near the largest whose step fits, compiled to be sure; None where none does.
+
+    Args:
+        batch: that does not fit.
+        needed, available: its bytes, and those that there are, on each device.
+    """
+    limit, rows, met = _SHARE * available, train.batch, [(train.batch, needed)]
+    guess = rows * limit / needed
+    for _ in range(_TRIES):
+        rows = min(int(guess) // mesh.size * mesh.size, rows - mesh.size)
+        if rows < mesh.size:
+            return None
+        asked = bytes_needed(compiled(loss, train, state, _of_rows(batch, rows), mesh))
+        assert asked is not None
+        if asked <= limit:
+            return rows
+        met.append((rows, asked))
+        (more, larger), (few, smaller) = met[-2:]
+        slope = max((larger - smaller) / (more - few), 1e-9)
+        guess = few - (smaller - limit) / slope
+    return None
+
+
+def _of_rows(batch: Any, rows: int) -> Any:
+    """The shapes of such a batch with another number of rows, where its arrays lie."""
+
+    def leaf(array: Any) -> jax.ShapeDtypeStruct:
+        lies = array.sharding if isinstance(array, jax.Array) and len(array.sharding.device_set) > 1 else None
+        return jax.ShapeDtypeStruct((rows, *np.shape(array)[1:]), array.dtype, sharding=lies)
+
+    return jax.tree.map(leaf, batch)
+
+
+def _size(count: int) -> str:
+    """Bytes as a person reads them."""
+    return f"{count / 1e9:.1f} GB" if count >= 1e8 else f"{count / 1e6:.1f} MB"
