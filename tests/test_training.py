@@ -239,6 +239,14 @@ def test_a_step_clips_decays_and_averages():
     assert np.isfinite(numbers["gradient"]) and int(state.step) == 1
 
 
+def test_runs_of_one_process_share_their_compiled_step():
+    """Equal losses, where methods of two objects are not: else each run kept a program of its own, 45 MiB."""
+    one, other = (initial_state(CONFIG)[0].loss for _ in range(2))
+    assert one == other and hash(one) == hash(other)
+    wider = replace(CONFIG, model=replace(MODEL, latent=5))
+    assert initial_state(wider)[0].loss != one
+
+
 def test_training_learns_where_the_target_is():
     """A hundred and fifty steps from a channel that tells the offset: the cloud's mean follows it."""
     settings = replace(
