@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Int
 
 from august_jax import streams
+from august_jax.arrays import rows_not_finite
 from august_jax.config import Config, read
 from august_jax.data.fields import Batch, Observed, Sample
 from august_jax.data.generate import split_of
@@ -87,11 +88,17 @@ class Dataset:
         return array
 
     def _taken(self, number: int, column: str, rows: Int[np.ndarray, " n"]) -> np.ndarray:
-        """Rows of a column of a shard, compared with their check sums."""
+        """Rows of a column of a shard, compared with their check sums, and finite."""
         taken = self._shards[number][column][rows]
         sums = self._sums[number].get(column)
         if sums is not None and not np.array_equal(row_sums(taken), sums[rows]):
             raise self._damaged(self._names[number], f"{column}.npy")
+        if len(wrong := rows_not_finite(taken)):
+            raise DataError(
+                f"{self._folder / self._names[number]}: {column}.npy holds NaN or infinity in {len(wrong)} of "
+                f"{len(rows)} rows, the first is row {self._starts[number] + rows[wrong[0]]} of the data, as they were "
+                "written; remove that shard and run the `august simulate` that made it once more"
+            )
         return taken
 
     def _damaged(self, shard: str, file: str) -> DataError:
@@ -112,7 +119,7 @@ class Dataset:
 
         Raises:
             ValueError: places that are no row numbers, or out of range.
-            DataError: a row is damaged.
+            DataError: a row is damaged, or holds numbers that are not finite.
         """
         places = np.asarray(places)
         if places.ndim != 1 or not (np.issubdtype(places.dtype, np.integer)):

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from august_jax.arrays import Array, ArrayLike
+from august_jax.arrays import Array, ArrayLike, rows_not_finite
 from august_jax.config import Config
 from august_jax.data.fields import Batch, Sample, unpack
 from august_jax.scene.cloud import to_cloud
@@ -33,7 +33,6 @@ def draw_level(key: jax.Array, config: Config) -> dict[str, jax.Array]:
     return {name: jax.random.uniform(key, minval=low, maxval=high)}
 
 
-@partial(jax.jit, static_argnames=("config", "statistics"))
 def observed_anew(
     key: jax.Array, samples: Sample, config: Config, snr_db: ArrayLike | None = None, *, statistics: bool = False
 ) -> Batch:
@@ -45,8 +44,23 @@ def observed_anew(
         config: static.
         snr_db: () or None; None draws the level as the configuration says.
         statistics: static; whether the batch holds what the echoes say beside what networks are told of them.
-    """
 
+    Raises:
+        ValueError: a sample that holds NaN or infinity.
+    """
+    for name, column in samples._replace(observed=None).columns().items():
+        if len(wrong := rows_not_finite(column)):
+            raise ValueError(
+                f"samples: {name} holds NaN or infinity in {len(wrong)} of {samples.rows} samples, the first is "
+                f"{wrong[0]}; leave them out"
+            )
+    return _observed_anew(key, samples, config, snr_db, statistics=statistics)
+
+
+@partial(jax.jit, static_argnames=("config", "statistics"))
+def _observed_anew(
+    key: jax.Array, samples: Sample, config: Config, snr_db: ArrayLike | None, *, statistics: bool
+) -> Batch:
     def one(key: jax.Array, packed: jax.Array, position: jax.Array):
         predicted_key, level_key, echo_key = jax.random.split(key, 3)
         predicted = draw_prediction(predicted_key, position, config)

@@ -37,7 +37,7 @@ from flax import nnx
 from jaxtyping import Float, Key
 
 from august_jax import streams
-from august_jax.arrays import Array
+from august_jax.arrays import Array, rows_not_finite
 from august_jax.config import Config, Sampler
 from august_jax.mesh import own_rows
 from august_jax.models.craft import KIND_SIZE, READING_SIZE, CraftFrame, Reading, RegionFrame, frame_of
@@ -280,7 +280,6 @@ def create(config: Config, seed: int) -> tuple[nnx.GraphDef, State]:
     return nnx.split(August(config, nnx.Rngs(streams.key(seed, "train.parameters"))))
 
 
-@partial(jax.jit, static_argnames=("graphdef", "count", "sampler", "steps", "sample_latent", "instants"))
 def reconstruct(
     graphdef: nnx.GraphDef,
     state: State,
@@ -295,19 +294,35 @@ def reconstruct(
     sample_latent: bool = False,
     instants: tuple[int, ...] = (),
 ) -> Float[jax.Array, "*instants batch {count} 5"]:
-    """:meth:`August.reconstruct` of networks that :func:`create` split, compiled once for each shape."""
-    model = nnx.merge(graphdef, state)
-    return model.reconstruct(
+    """:meth:`August.reconstruct` of networks that :func:`create` split, compiled once for each shape.
+
+    Raises:
+        ValueError: a slot of which something is NaN or infinite; what is heard is not of the configuration's array.
+    """
+    for name, value in (("heard", heard), ("predicted", predicted), ("snr_db", snr_db)):
+        if len(wrong := rows_not_finite(value)):
+            raise ValueError(
+                f"{name}: {len(wrong)} of {len(predicted)} slots hold NaN or infinity, the first is {wrong[0]}; leave "
+                "them out"
+            )
+    return _reconstruct(
+        graphdef,
+        state,
         key,
         heard,
         predicted,
         snr_db,
-        count,
+        count=count,
         sampler=sampler,
         steps=steps,
         sample_latent=sample_latent,
         instants=instants,
     )
+
+
+@partial(jax.jit, static_argnames=("graphdef", "count", "sampler", "steps", "sample_latent", "instants"))
+def _reconstruct(graphdef, state, key, heard, predicted, snr_db, count, **options):
+    return nnx.merge(graphdef, state).reconstruct(key, heard, predicted, snr_db, count, **options)
 
 
 def parameter_count(state: State) -> int:

@@ -38,6 +38,7 @@ import numpy as np
 from jaxtyping import Complex, Float, Int
 
 from august_jax.arrays import Array, ArrayLike
+from august_jax.physics.checks import check_finite
 from august_jax.physics.green import path_difference
 from august_jax.signal.noise import energy, estimate_snr
 from august_jax.signal.roi import field_basis
@@ -111,7 +112,7 @@ def estimate_channel(
         region: needed by ``lmmse_roi``.
 
     Raises:
-        ValueError: an unknown name, shapes that do not fit, or a missing argument.
+        ValueError: an unknown name, shapes that do not fit, numbers that are not finite, or a missing argument.
     """
     if name not in ESTIMATORS:
         raise ValueError(f"name: unknown estimator {name!r}; choose one of {', '.join(ESTIMATORS)}")
@@ -120,6 +121,8 @@ def estimate_channel(
             f"received: got shape {received.shape} for pilots of shape {pilots.shape}; both must be (N_b, L), "
             "map over more axes with jax.vmap"
         )
+    check_finite("received", received, "leave that slot out")
+    check_finite("pilots", pilots, "give what was sent")
     given = {"noise_w": noise_w, "region": region}
     wanted = {"noise_w": "the noise power in W", "region": "the region of interest, a Region(...)"}
     for missing in ESTIMATORS[name].needs:

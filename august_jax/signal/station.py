@@ -19,6 +19,7 @@ from jaxtyping import Complex, Float, Int
 from august_jax.arrays import Array, ArrayLike
 from august_jax.config import ArrayConfig, Config, RegionConfig, SignalConfig
 from august_jax.physics.array import PlanarArray
+from august_jax.physics.checks import check_finite
 from august_jax.signal import beams, roi
 from august_jax.signal.estimators import ESTIMATORS, Region, estimate_channel, roi_coefficients
 from august_jax.signal.noise import energy, snr_above_noise, white_noise
@@ -133,7 +134,8 @@ def observe(
         power_dbm: P_s [dBm], instead of ``snr_db``.
 
     Raises:
-        ValueError: shapes that do not fit, or not exactly one of ``snr_db`` and ``power_dbm``.
+        ValueError: shapes that do not fit, numbers that are not finite, or not exactly one of ``snr_db`` and
+            ``power_dbm``.
     """
     _check(channel, predicted, array, snr_db, power_dbm)
     if signal.estimator == "lmmse_roi":  # formed in the subspace, where it lives
@@ -360,3 +362,6 @@ def _check(
         raise ValueError(f"predicted: got shape {predicted.shape}; give one position (3,) in metres")
     if (snr_db is None) == (power_dbm is None):
         raise ValueError("snr_db, power_dbm: give exactly one of the two, the SNR in dB or the transmit power in dBm")
+    for name, value in (("channel", channel), ("predicted", predicted), ("snr_db", snr_db), ("power_dbm", power_dbm)):
+        for leaf in jax.tree.leaves(value):
+            check_finite(name, leaf, "leave that slot out")
