@@ -3,6 +3,7 @@
 By hand: XLA_FLAGS=--xla_force_host_platform_device_count=8 python -m pytest -n 0 tests/eight_devices.py
 """
 
+import json
 from dataclasses import replace
 
 import jax
@@ -23,7 +24,7 @@ from august_jax.mesh import (
     placed,
     spread,
 )
-from august_jax.training import compiled_step, initial_state
+from august_jax.training import compiled_step, initial_state, train
 
 RUN = replace(CONFIG, train=replace(CONFIG.train, steps=12, batch=16, save_every=6))
 
@@ -74,15 +75,56 @@ def test_means_over_devices_are_means_over_rows():
 
 
 @pytest.mark.parametrize("frame", ["craft", "region"])
-def test_a_step_on_eight_devices_is_the_step_on_one(frame):
+def test_steps_on_eight_devices_are_steps_on_one(frame):
     config = replace(RUN, model=replace(RUN.model, frame=frame))
-    mesh, told = data_mesh(), []
+    mesh, losses, terms = data_mesh(), [], []
     for split in (False, True):
         layout, state = initial_state(config)
-        state = placed(state, mesh, WHOLE) if split else state
-        for step in range(3):
+        state, each = placed(state, mesh, WHOLE) if split else state, []
+        for step in range(config.train.steps):
             batch = placed(batch_of(step), mesh, SPLIT) if split else batch_of(step)
             state, numbers = compiled_step(layout.loss, config.train, state, batch, mesh=mesh if split else None)
-        told.append({name: float(value) for name, value in numbers.items()})
-    # rounding alone: a wrong draw, or a sum in the place of a mean, is off by a tenth at least
-    assert told[1] == pytest.approx(told[0], rel=1e-5)
+            each.append({name: float(value) for name, value in numbers.items()})
+        losses.append([numbers["loss"] for numbers in each])
+        terms.append(each[2])
+    # rounding alone, 1e-6 where it was measured: a wrong draw, or a sum in the place of a mean, is off by a tenth
+    assert losses[1] == pytest.approx(losses[0], rel=1e-5)
+    assert terms[1] == pytest.approx(terms[0], rel=1e-4)
+
+
+@pytest.fixture(scope="module")
+def alone(tmp_path_factory):
+    """A run on one device, and what it logged."""
+    folder = tmp_path_factory.mktemp("alone")
+    return train(RUN, batch_of, folder, mesh=data_mesh(1)), logged(folder)
+
+
+def logged(folder):
+    lines = [json.loads(line) for line in (folder / "metrics.jsonl").read_text().splitlines()]
+    return {line["step"]: line["loss"] for line in lines}
+
+
+@pytest.mark.parametrize("first, then", [(8, 1), (1, 8), (8, 2)])
+def test_a_checkpoint_goes_on_on_any_number_of_devices(alone, tmp_path, first, then):
+    def interrupted(step):
+        if step == 8:
+            raise ConnectionError("power cut")
+        return batch_of(step)
+
+    with pytest.raises(ConnectionError):
+        train(RUN, interrupted, tmp_path, mesh=data_mesh(first))
+    said = []
+    state = train(RUN, batch_of, tmp_path, mesh=data_mesh(then), progress=said.append)
+    assert said[0] == "continuing from step 6 of 12"
+    assert any("devices share each batch" in line for line in said) == (then > 1)
+    whole, losses = alone
+    assert logged(tmp_path) == pytest.approx(losses, rel=1e-5)
+    # a weight moves by 1e-3 at most in a step; where its gradient is all rounding, Adam may turn it either way
+    np.testing.assert_allclose(np.median(np.abs(np.asarray(state.params) - np.asarray(whole.params))), 0.0, atol=1e-6)
+
+
+def test_a_run_takes_all_devices_and_refuses_what_they_cannot_share(tmp_path):
+    odd = replace(RUN, train=replace(RUN.train, batch=12))
+    with pytest.raises(ValueError, match="12 samples cannot be shared equally by 8 devices"):
+        train(odd, batch_of, tmp_path / "run")
+    assert not (tmp_path / "run").exists()

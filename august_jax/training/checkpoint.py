@@ -40,7 +40,10 @@ _SUM = "sha256"
 
 
 class Checkpoints:
-    """The checkpoints in one folder, one a saved step; the last two are kept. A context manager."""
+    """The checkpoints in one folder, one a saved step; the last two are kept. A context manager.
+
+    Of several hosts each opens the same folder, saves and restores at the same time; the first alone writes.
+    """
 
     def __init__(self, folder: str | Path):
         from orbax.checkpoint import v1 as ocp  # here, because it takes seconds to import
@@ -83,9 +86,12 @@ class Checkpoints:
             OSError: the disk is full or cannot be written; names the folder.
         """
         arrays: dict[str, Any] = flatten(_plain(state))
+        if jax.process_count() > 1:  # of NumPy's arrays orbax leaves the writing to the first
+            arrays = {name: np.asarray(leaf) for name, leaf in arrays.items()}
         try:
             self._checkpointer.save(int(state.step), arrays | {_SUM: _sum_of(arrays)}, force=True, overwrite=True)
-            flush_tree(Path(str(self._checkpointer.directory)) / str(int(state.step)))  # which orbax leaves undone
+            if jax.process_index() == 0:
+                flush_tree(Path(str(self._checkpointer.directory)) / str(int(state.step)))  # which orbax leaves undone
         except Exception as error:  # of many kinds, some of which hold another's words alone
             text = f"{error!r}"
             for number in _DISK:
@@ -126,7 +132,10 @@ class Checkpoints:
         summed = shapes.pop(_SUM, None) is not None  # those of older versions are not
         compare(shapes, wanted, self._checkpointer.directory)
         abstract: dict[str, Any] = {
-            name: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=leaf.sharding) for name, leaf in wanted.items()
+            name: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=leaf.sharding)
+            if jax.process_count() == 1
+            else np.empty(leaf.shape, leaf.dtype)
+            for name, leaf in wanted.items()
         }
         if summed:
             abstract[_SUM] = _sum_of({})

@@ -25,6 +25,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import nnx
+from jax.sharding import Mesh
 from jaxtyping import Float, Int, Key
 
 from august_jax import streams
@@ -208,6 +209,7 @@ def train_predictor(
     *,
     draw: Draw | None = None,
     weights: str | Path | None = None,
+    mesh: Mesh | None = None,
     progress: Progress = silent,
 ) -> TrainState:
     """Train a predictor to ``config.train.steps`` and return the last state; see :func:`~august_jax.training.train`.
@@ -221,6 +223,7 @@ def train_predictor(
         out_dir: made if missing.
         draw: of the metrics.
         weights: another predictor's, to start from.
+        mesh: the devices; None takes all that JAX sees.
         progress: takes lines of progress.
 
     Raises:
@@ -238,5 +241,6 @@ def train_predictor(
         weights=weights,
         begin=begin_predictor,
         weights_file=WEIGHTS,
+        mesh=mesh,
         progress=progress,
     )

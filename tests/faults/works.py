@@ -169,7 +169,7 @@ def trained(config, folder, ledger, **rest) -> None:
         if line.startswith("step "):
             ledger(line.split("/")[0])
 
-    training.compiled_step = step
+    training.fitted_step = lambda loss, settings, *_: lambda state, batch: step(loss, settings, state, batch)
     training.time = SimpleNamespace(perf_counter=lambda: 0.0)
     training.train(
         config, batch, folder, begin=begin, draw=draw, validate=lambda *_: {"error": 1.0}, progress=told, **rest

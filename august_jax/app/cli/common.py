@@ -9,10 +9,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from august_jax import config as configuration
-from august_jax.app.cli.parser import number
+from august_jax.app.cli.messages import note
+from august_jax.app.cli.parser import number, part, whole
 from august_jax.config import Config, ConfigError, TargetConfig
 
 if TYPE_CHECKING:
+    from jax.sharding import Mesh
+
     from august_jax.pipeline import Networks
     from august_jax.scene import Airframe
 
@@ -44,6 +47,39 @@ def folder(args: argparse.Namespace, default: str, *, configured: bool = False) 
             f"{'read-only' if parent.is_dir() else 'a file'}; choose another folder"
         )
     return out
+
+
+def devices_argument(parser: argparse.ArgumentParser, shared: str) -> None:
+    """``--devices``, which share what is ``shared``."""
+    parser.add_argument(
+        "--devices", type=whole(1), metavar="N", help=f"share {shared} among so many devices (default: all of them)"
+    )
+
+
+def hosts_arguments(parser: argparse.ArgumentParser) -> None:
+    """``--host`` and ``--coordinator``."""
+    parser.add_argument(
+        "--host", type=part, metavar="I/N", help="this is the i-th of n hosts that train as one (default: alone)"
+    )
+    parser.add_argument(
+        "--coordinator", metavar="ADDRESS:PORT", help="of the first host, as the others reach it (default: none)"
+    )
+
+
+def devices(args: argparse.Namespace) -> Mesh:
+    """What :func:`devices_argument` and :func:`hosts_arguments` ask for, the other hosts met; before JAX computes."""
+    if (args.host is None) != (args.coordinator is None):
+        raise ConfigError(
+            f"--{'host' if args.host is None else 'coordinator'}: is missing; several hosts need --host I/N, with the "
+            "place of each, and --coordinator ADDRESS:PORT, the same on all"
+        )
+    from august_jax import hosts
+    from august_jax.mesh import data_mesh
+
+    if args.host is not None:
+        note(f"host {args.host[0]} of {args.host[1]}: waiting for the others at {args.coordinator}")
+        hosts.join(args.coordinator, args.host)
+    return data_mesh(args.devices)
 
 
 def mesh_arguments(parser: argparse.ArgumentParser, *, required: bool) -> None:

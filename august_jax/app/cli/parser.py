@@ -269,3 +269,6 @@ def part(text: str) -> tuple[int, int]:
     if not found or not 1 <= int(found[1]) <= int(found[2]):
         raise argparse.ArgumentTypeError(f"{text!r} is not of the form i/n with 1 <= i <= n, e.g. 1/4")
     return int(found[1]), int(found[2])
+
+
+part.takes = "I from 1 to N"  # type: ignore[attr-defined]

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from august_jax import config as configuration
 from august_jax.app.cli.clock import told_s
-from august_jax.app.cli.common import chosen_config, folder
+from august_jax.app.cli.common import chosen_config, devices, devices_argument, folder, hosts_arguments
 from august_jax.app.cli.dry import about, dry_run_argument, size, told_plan
 from august_jax.app.cli.messages import command_line, note, say
 from august_jax.app.cli.parser import Command, presets_help
@@ -46,6 +46,8 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
         help="start from another run's weights, or from the shipped ones (--init shipped; default: new ones)",
     )
 
+    devices_argument(parser, "each batch")
+    hosts_arguments(parser)
     dry_run_argument(parser)
 
 
@@ -57,7 +59,10 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
             )
         return _predictor(args)
     if args.dry_run:
+        if args.host:
+            raise ConfigError("--host: a dry run is of one host; leave it out, or leave out --dry-run")
         return _plan(args)
+    mesh = devices(args)
     make: Callable[[Config], tuple[Callable[[int], Batch], Dataset | Sample]]
     if (
         any(text.startswith("train.source=") for text in args.overrides)
@@ -75,14 +80,24 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
     from august_jax import pipeline
     from august_jax.app.plotting import training_curves
     from august_jax.evaluation import validator
+    from august_jax.hosts import is_first
     from august_jax.training.loop import train
 
     weights = pipeline.run_files(None if args.init == "shipped" else args.init)[1] if args.init else None
     out = _apart(folder(args, f"august_runs/{config.preset}", configured=True), "predictor.npz", "a predictor")
     batches, held_out = make(config)
     state = train(
-        config, batches, out, validate=validator(held_out, config), draw=training_curves, weights=weights, progress=note
+        config,
+        batches,
+        out,
+        validate=validator(held_out, config),
+        draw=training_curves,
+        weights=weights,
+        mesh=mesh,
+        progress=note,
     )
+    if not is_first():
+        return _elsewhere(args, int(state.step))
     last = _told(args, out, int(state.step))
     say(
         args,
@@ -107,24 +122,26 @@ def _plan(args: argparse.Namespace) -> dict[str, Any]:
         needs = f"{data}/, which is not there yet: {make}"
     out = folder(args, f"august_runs/{config.preset}", configured=True)
     note("compiling one step and timing a few, on a batch that is made up")
-    plan = training(config, out)
+    plan = training(config, out, args.devices)
+    each = f" on each of {plan['devices']} devices" if plan["devices"] > 1 else ""
     lines = [
         ("data", needs),
         ("steps", f"{plan['steps']} of {plan['batch']} samples, {plan['parameters'] / 1e6:.2f} million parameters"),
         ("time", f"{about(plan['seconds'])} for the steps as timed here, {told_s(plan['compile_seconds'])} to compile"),
         ("disk", f"{size(plan['disk_bytes'])} in {out}/; {size(plan['free_bytes'])} are free"),
-        ("memory", f"{size(plan['memory_bytes'])} for a step; {size(plan['available_bytes'])} are free"),
+        ("memory", f"{size(plan['memory_bytes'])} for a step{each}; {size(plan['available_bytes'])} are free"),
     ]
     return told_plan(args, plan, lines)
 
 
 def _predictor(args: argparse.Namespace) -> dict[str, Any]:
-    config = chosen_config(args)
+    config, mesh = chosen_config(args), devices(args)
     if args.data:
         raise ConfigError(
             f"--data: {args.data}, but a predictor learns from flights that are made for it\nleave --data out"
         )
     from august_jax.app.plotting import training_curves
+    from august_jax.hosts import is_first
     from august_jax.tracking.predictors.lstm import SHIPPED, WEIGHTS
     from august_jax.training.predictor import train_predictor
 
@@ -137,7 +154,9 @@ def _predictor(args: argparse.Namespace) -> dict[str, Any]:
             )
     default = f"august_runs/predictor_{config.preset}"
     out = _apart(folder(args, default, configured=True), "weights.npz", "networks")
-    state = train_predictor(config, out, draw=training_curves, weights=weights, progress=note)
+    state = train_predictor(config, out, draw=training_curves, weights=weights, mesh=mesh, progress=note)
+    if not is_first():
+        return _elsewhere(args, int(state.step))
     last = _told(args, out, int(state.step))
     study = ["python", "experiments/prediction.py", "compute", "--run", str(out), "--results", f"{out}/prediction.npz"]
     say(
@@ -154,6 +173,11 @@ def _apart(out: Path, mark: str, held: str) -> Path:
     if (out / mark).exists():
         raise ConfigError(f"--out: {out} holds {held} ({mark}); choose another folder")
     return out
+
+
+def _elsewhere(args: argparse.Namespace, step: int) -> dict[str, Any]:
+    say(args, f"trained to step {step}; the first host has written it")
+    return {"host": args.host[0], "step": step}
 
 
 def _told(args: argparse.Namespace, out: Path, step: int) -> dict[str, Any]:
