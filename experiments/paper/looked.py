@@ -83,9 +83,9 @@ def scattered(figure, where, points, values, limits, reach_m: float, title: str,
         cmap: colours.
     """
     axes = figure.add_subplot(*where, projection="3d")
-    shown = axes.scatter(
-        *points.T, c=values, vmin=limits[0], vmax=limits[1], cmap=cmap, s=max(0.6, 300.0 / len(points)), lw=0
-    )
+    colours = {"c": values, "vmin": limits[0], "vmax": limits[1], "cmap": cmap}
+    # as pixels: a thousand points as shapes would make megabytes of a PDF
+    shown = axes.scatter(*points.T, **colours, s=max(0.6, 300.0 / len(points)), lw=0, rasterized=True)
     axes.set(xlim=(-reach_m, reach_m), ylim=(-reach_m, reach_m), zlim=(-reach_m, reach_m), box_aspect=(1, 1, 1))
     plain(axes)
     axes.tick_params(labelsize=5, pad=-3)
