@@ -5,7 +5,7 @@ from august_jax.data.fields import Batch, Observed, Sample, pack, unpack
 from august_jax.data.generate import fresh_samples, generate, split_of
 from august_jax.data.observe import as_observed, batch_of, observed_anew
 from august_jax.data.reference import reference_channels
-from august_jax.data.shards import DataError, bytes_of, read_manifest, simulate
+from august_jax.data.shards import DataError, bytes_of, content_sum, read_manifest, simulate
 from august_jax.data.simulator import (
     Target,
     channels_along,
@@ -36,6 +36,7 @@ __all__ = [
     "bytes_of",
     "channels_along",
     "check_table",
+    "content_sum",
     "contrast_of",
     "fresh_samples",
     "generate",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +19,8 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--shard",
         type=part,
-        default=(1, 1),
         metavar="I/N",
-        help="make the i-th of n parts alone, 1 <= i <= n (default 1/1)",
+        help="make the i-th of n parts alone, 1 <= i <= n (default: of a SLURM array its task's, else 1/1)",
     )
     parser.add_argument(
         "--verify",
@@ -33,12 +33,12 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 
 def _run(args: argparse.Namespace) -> dict[str, Any]:
     config = chosen_config(args)
-    out = folder(args, f"august_data/{config.preset}", configured=True)
+    out, shard = folder(args, f"august_data/{config.preset}", configured=True), _part(args)
     if args.dry_run:
-        return _plan(args, config, out)
-    from august_jax.data import simulate
+        return _plan(args, config, out, shard)
+    from august_jax.data import content_sum, simulate
 
-    manifest = simulate(config, out, part=args.shard, verify=args.verify, progress=note)
+    manifest = simulate(config, out, part=shard, verify=args.verify, progress=note)
     done = manifest["rows"] >= manifest["wanted"]
     say(
         args,
@@ -46,6 +46,8 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
         f"({manifest['samples_per_s']:.1f} samples/s); {out}/ now holds {manifest['rows']} of "
         f"{manifest['wanted']}",
     )
+    content = content_sum(out)
+    say(args, f"sha256 of its arrays: {content}")
     say(
         args,
         "next:  "
@@ -58,14 +60,30 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
     return {
         "out": str(out),
         "digest": manifest["digest"],
+        "content": content,
+        "shard": list(shard),
         **{name: manifest[name] for name in ("rows", "wanted", "written", "seconds", "samples_per_s")},
     }
 
 
-def _plan(args: argparse.Namespace, config: Config, out: Path) -> dict[str, Any]:
+def _part(args: argparse.Namespace) -> tuple[int, int]:
+    """``--shard``, or what a SLURM array says, or all."""
+    if args.shard:
+        return args.shard
+    from august_jax.app.slurm import array_part
+
+    found = array_part(os.environ)
+    if found is None:
+        return 1, 1
+    task = os.environ["SLURM_ARRAY_TASK_ID"]
+    note(f"task {task} of a SLURM array of {found[1]}: --shard {found[0]}/{found[1]}")
+    return found
+
+
+def _plan(args: argparse.Namespace, config: Config, out: Path, shard: tuple[int, int]) -> dict[str, Any]:
     from august_jax.app.plan import simulation
 
-    plan = simulation(config, out, args.shard)
+    plan = simulation(config, out, shard)
     lines = [
         ("samples", f"{plan['rows_left']} of {plan['rows']} to make, {plan['rows_here']} are there"),
         ("shards", f"{plan['shards_left']} of {config.data.shard_rows} samples, in {out}/"),
