@@ -222,9 +222,12 @@ def test_a_figure_is_drawn_from_its_numbers(reproduce, number):
 
     (figure,) = reproduce.figures([reproduce.NAMES[number]])
     here = campaign()
-    pdf, png = picture(figure, here, made_up(figure, here))
+    numbers = made_up(figure, here)
+    pdf, png = picture(figure, here, numbers)
     assert pdf.read_bytes().startswith(b"%PDF")
     assert_ink(png)
+    drawn = figure.draw(numbers)
+    assert all(legend.get_window_extent().width <= drawn.bbox.width for legend in drawn.legends)
 
 
 def test_every_figure_has_a_script_and_every_script_is_in_the_list(reproduce):

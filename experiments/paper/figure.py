@@ -252,9 +252,14 @@ def plain(axes: Axes) -> None:
 
 
 def legend_below(drawn: Picture, columns: int) -> None:
-    """One legend of all axes, below them, each label once."""
+    """One legend of all axes, below them, each label once, in letters that are small enough for the picture's width."""
     named = {label: line for axes in drawn.axes for line, label in zip(*axes.get_legend_handles_labels())}
-    drawn.legend(named.values(), named.keys(), loc="outside lower center", ncols=columns, frameon=False, fontsize=6.5)
+    for size in (6.5, 6.0, 5.5, 5.0):
+        style = {"ncols": columns, "frameon": False, "fontsize": size}
+        legend = drawn.legend(named.values(), named.keys(), loc="outside lower center", **style)
+        if size == 5.0 or legend.get_window_extent().width <= drawn.bbox.width:
+            return
+        legend.remove()
 
 
 def prefixed(words: str, progress: Progress) -> Progress:
