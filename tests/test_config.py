@@ -241,6 +241,22 @@ def test_a_damaged_or_edited_file_is_named(tmp_path, text, wanted):
     assert wanted in str(refused.value)
 
 
+@pytest.mark.parametrize("kind", ["flip", "cut"])
+def test_damage_that_leaves_a_valid_file_is_noticed(tmp_path, kind):
+    """A digit that became another one, and a file that ends where a line does: what is missing takes its default."""
+    path, config = tmp_path / "config.yaml", preset("smoke")
+    path.write_text(configuration.to_summed_yaml(config))
+    assert configuration.read(path) == config == configuration.from_yaml(path.read_text())
+    text = path.read_text()
+    damaged = {"flip": text.replace("steps: 20", "steps: 21"), "cut": text[: text.index("evaluate:")]}[kind]
+    assert configuration.from_yaml(damaged) != config  # valid all the same
+    path.write_text(damaged)
+    with pytest.raises(ConfigError, match=r"config.yaml: .*check sum of other lines; if you changed these, remove it"):
+        configuration.read(path)
+    path.write_text(damaged.partition("\n")[2])  # as told to who changed it
+    assert configuration.read(path) == configuration.from_yaml(damaged)
+
+
 def test_configurations_are_values():
     config = preset("smoke")
     assert dataclasses.replace(config) == config and hash(dataclasses.replace(config)) == hash(config)

@@ -34,7 +34,17 @@ from august_jax.config.schema import (
     TrainConfig,
     bounds,
 )
-from august_jax.config.text import data_digest, digest, from_dict, from_yaml, override, read, to_dict, to_yaml
+from august_jax.config.text import (
+    data_digest,
+    digest,
+    from_dict,
+    from_yaml,
+    override,
+    read,
+    to_dict,
+    to_summed_yaml,
+    to_yaml,
+)
 from august_jax.config.ties import check_data, check_weights, differences, leaves
 
 __all__ = [
@@ -82,6 +92,7 @@ __all__ = [
     "preset",
     "read",
     "to_dict",
+    "to_summed_yaml",
     "to_yaml",
     "training_config",
 ]

@@ -15,6 +15,8 @@ from typing import Any
 from august_jax.config.fields import ConfigError, checked, hints, near, parted
 from august_jax.config.schema import Config
 
+_SUMMED = re.compile(r"# check sum of the lines below: ([0-9a-f]{16})\n")
+
 
 def override(config: Config, assignments: Sequence[str]) -> Config:
     """Apply dotted assignments such as ``train.steps=2000`` in order.
@@ -71,6 +73,13 @@ def to_yaml(config: Config) -> str:
     return str(yaml.safe_dump(to_dict(config), sort_keys=False))
 
 
+def to_summed_yaml(config: Config) -> str:
+    """:func:`to_yaml` below a line with its check sum, a comment to YAML: what runs and results keep, and :func:`read`
+    compares."""
+    text = to_yaml(config)
+    return f"# check sum of the lines below: {_sum_of(text)}\n{text}"
+
+
 def from_yaml(text: str) -> Config:
     """Inverse of :func:`to_yaml`.
 
@@ -84,13 +93,17 @@ def from_yaml(text: str) -> Config:
 
 
 def read(path: str | os.PathLike[str]) -> Config:
-    """The configuration in a file that :func:`to_yaml` made.
+    """The configuration in a file that :func:`to_summed_yaml` made, or :func:`to_yaml`, of which no sum is compared.
 
     Raises:
         ConfigError: names the file, and what is wrong in it.
     """
     try:
-        return from_yaml(Path(path).read_text(encoding="utf-8"))
+        text = Path(path).read_text(encoding="utf-8")
+        summed = _SUMMED.match(text)
+        if summed and summed[1] != _sum_of(text[summed.end() :]):
+            raise ConfigError("its first line holds the check sum of other lines; if you changed these, remove it")
+        return from_yaml(text)
     except (OSError, ValueError) as error:
         raise ConfigError(
             f"{path}: {error}\nit is damaged, edited or of another version; correct it, or make that folder again"
@@ -118,6 +131,10 @@ def data_digest(config: Config) -> str:
     return digest(
         config.array, config.target, config.flight, *seen, config.data.seed, config.data.solver, config.data.observed
     )
+
+
+def _sum_of(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 def _build(kind: type, tree: Mapping[str, Any], path: str) -> Any:

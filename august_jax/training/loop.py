@@ -137,7 +137,7 @@ def train(
         if first:
             if start == 0:
                 _set_aside(out, weights_file, progress)
-            write_text(out / "config.yaml", configuration.to_yaml(config))
+            write_text(out / "config.yaml", configuration.to_summed_yaml(config))
             _forget_after(metrics, start)
         gathered: list[Mapping[str, Any]] = []
         for done in range(start + 1, settings.steps + 1):

@@ -103,7 +103,7 @@ class Damaged:
     def files(self) -> list[str]:
         """Those that something reads again."""
         found = [path for path in hashes(self.first) if not path.endswith(CHANGED_UNSEEN)]
-        # a run's own configuration is the user's to edit, where it stays one
+        # of a run's own configuration nothing is kept from which it could be made again
         return [path for path in found if not (path.endswith("config.yaml") and self.name != "simulate")]
 
     def damage(self, path: str, kind: str, chance: random.Random) -> dict:

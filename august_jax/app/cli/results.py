@@ -92,7 +92,7 @@ def leave(
         write_record(aside["clouds.npz"], track.record())
         write_ply(aside["cloud.ply"], track.points[-1], track.point_permittivity[-1], track.point_conductivity[-1])
         aside["metrics.json"].write_text(json.dumps(metrics, indent=1, allow_nan=False), encoding="utf-8")
-        aside["config.yaml"].write_text(configuration.to_yaml(config), encoding="utf-8")
+        aside["config.yaml"].write_text(configuration.to_summed_yaml(config), encoding="utf-8")
         draw(aside[f"{args.command}.png"])
         report.write_report(
             aside["report.html"],
