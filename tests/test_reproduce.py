@@ -147,10 +147,13 @@ def test_the_bound_is_drawn_once_where_all_hear_alike_and_line_by_line_where_not
 
     alike = columns([("first", rows(1.0)), ("second", rows(1.0))])
     for numbers, bounds in ((alike, 1), (columns([("first", rows(1.0)), ("second", rows(0.5))]), 2)):
-        axes = new_figure(3.0, 3.0).add_subplot()
-        over_snr(axes, numbers, "mpe_m", {"first": ("a", "red", "-"), "second": ("b", "blue", "-")}, bound="bound_m")
-        assert [line.get_linestyle() for line in axes.lines].count("-.") == bounds
-        assert sum(label.startswith("what the search expects") for label in axes.get_legend_handles_labels()[1]) == 1
+        lines, search = {"first": ("a", "red", "-"), "second": ("b", "blue", "-")}, {"matched_field": ("c", "k", "-")}
+        for shown, expectations in ((lines, 0), (lines | search, 1)):  # without the search, nothing of what it expects
+            axes = new_figure(3.0, 3.0).add_subplot()
+            over_snr(axes, numbers, "mpe_m", shown, bound="bound_m")
+            told = axes.get_legend_handles_labels()[1]
+            assert sum(label.startswith("what the search expects") for label in told) == expectations
+            assert len(shown) > 2 or [line.get_linestyle() for line in axes.lines].count("-.") == bounds
 
 
 def beyond(name):

@@ -222,8 +222,8 @@ def over_snr(
             axes.plot(*np.array(limit).T, color="black" if alone else lines[name][1], ls="-.", lw=1.0,
                       label=None if number else "bound, craft known")  # fmt: skip
     expected = EXPECTED.get(metric)
-    at = np.isfinite(numbers[expected]) if expected is not None and expected in numbers else np.zeros(1, bool)
-    if at.any():
+    at = np.isin(numbers["line"], list(lines))  # what a line that is not drawn expects says nothing
+    if expected in numbers and (at := at & np.isfinite(numbers[expected])).any():
         pairs = sorted(zip(numbers[over][at], numbers[expected][at]))
         axes.plot(*np.array(pairs).T, color=SEARCHED, ls=":", lw=1.0, label="what the search expects to err by")
     if logarithmic:
