@@ -56,6 +56,15 @@ def data_mesh(devices: int | None = None, *, local: bool = False) -> Mesh:
     return Mesh(np.array(chosen), (ROWS,), axis_types=(AxisType.Auto,))
 
 
+def own_accelerators() -> Mesh:
+    """This host's devices, for work that shares nothing between hosts; of a processor its first device.
+
+    Devices that XLA makes of one processor share its cores. There is no speed in them, and where a program calls LAPACK
+    (estimators of channels do) they may wait for one another for ever (jaxlib 0.10.2).
+    """
+    return data_mesh(1 if _on_cpu(jax.local_devices()) else None, local=True)
+
+
 def _on_cpu(devices: list[jax.Device]) -> bool:
     return all(device.platform == "cpu" for device in devices)
 

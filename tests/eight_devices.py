@@ -12,6 +12,9 @@ import numpy as np
 import pytest
 from test_training import CONFIG, next_batch
 
+from august_jax import data
+from august_jax.app import cli
+from august_jax.config import override, preset
 from august_jax.mesh import (
     ROWS,
     SPLIT,
@@ -20,12 +23,14 @@ from august_jax.mesh import (
     check_divides,
     data_mesh,
     mean_over_devices,
+    own_accelerators,
     own_rows,
     placed,
     spread,
 )
 from august_jax.training import compiled_step, initial_state, train
 
+pytestmark = pytest.mark.filterwarnings("ignore:cells.volumes")
 RUN = replace(CONFIG, train=replace(CONFIG.train, steps=12, batch=16, save_every=6))
 
 
@@ -128,3 +133,25 @@ def test_a_run_takes_all_devices_and_refuses_what_they_cannot_share(tmp_path):
     with pytest.raises(ValueError, match="12 samples cannot be shared equally by 8 devices"):
         train(odd, batch_of, tmp_path / "run")
     assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("solver", ["mom", "born"])
+def test_rows_made_on_eight_devices_are_those_made_on_one(solver):
+    config = override(preset("smoke"), [f"data.solver={solver}", "target.points=20"])
+    targets = data.prepare_targets(config)
+    alone, shared = (
+        data.generate(config, np.arange(150), targets, mesh=data_mesh(devices)).columns() for devices in (1, 8)
+    )
+    for name, value in alone.items():
+        assert shared[name].dtype == value.dtype and shared[name].shape == value.shape
+        # each device runs the program of one: no difference was seen
+        np.testing.assert_allclose(shared[name], value, rtol=1e-5, atol=1e-6 * np.abs(value).max(), err_msg=name)
+
+
+def test_what_shares_nothing_takes_one_device_of_a_processor(capsys, tmp_path):
+    assert own_accelerators().size == 1
+    assert cli.main(["simulate", "--preset", "smoke", "--devices", "2", "--out", str(tmp_path / "data")]) == 2
+    assert "--devices: 2 devices of one processor share its cores; make parts side by side, --shard I/N" in (
+        capsys.readouterr().err
+    )
+    assert not (tmp_path / "data").exists()

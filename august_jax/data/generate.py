@@ -5,7 +5,8 @@ material come from the streams ``flight`` and ``material`` by the flight's numbe
 ``points`` and ``observation`` by the row's (:mod:`august_jax.streams`). Airframes take turns by flight; a flight keeps
 its material (paper, Section VI-A).
 
-Rows of one airframe are computed together, ``_BATCH`` at a time, through that airframe's table or factored body.
+Rows of one airframe are computed together, ``_BATCH`` at a time on each device, through that airframe's table or
+factored body.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from typing import Literal
 
 import jax
 import numpy as np
+from jax.sharding import Mesh
 from jaxtyping import Int
 
 from august_jax import streams
@@ -24,6 +26,7 @@ from august_jax.config import Config
 from august_jax.data.fields import Observed, Sample, pack
 from august_jax.data.observe import draw_level, draw_prediction
 from august_jax.data.simulator import Target, check_table, simulated_channel
+from august_jax.mesh import SPLIT, WHOLE, own_accelerators, placed, spread
 from august_jax.physics import Body, Cells, Table
 from august_jax.scene.airframes import sample_triangles
 from august_jax.scene.trajectory import fly_many
@@ -46,6 +49,7 @@ def generate(
     *,
     seed: int | None = None,
     domain: Literal["data", "evaluate", "validation"] = "data",
+    mesh: Mesh | None = None,
 ) -> Sample:
     """The samples of the given rows, in their order, as NumPy arrays.
 
@@ -56,6 +60,7 @@ def generate(
         seed: of all that is drawn; None takes ``data.seed``.
         domain: whose streams they come from: an evaluation's samples are never those of a data set, nor those that a
             streamed training is validated on.
+        mesh: devices that share the rows; None takes :func:`~august_jax.mesh.own_accelerators`.
 
     Raises:
         ValueError: targets whose tables do not hold all that this configuration's craft may be.
@@ -85,17 +90,18 @@ def generate(
     }
     craft = (rows // slots) % kinds
     parents = [streams.key(seed, f"{domain}.{name}") for name in ("points", "observation")]
+    mesh = own_accelerators() if mesh is None else mesh
+    together = _BATCH * mesh.size
     drawn: dict[str, np.ndarray] = {}
     for kind in np.unique(craft):
         mine = np.flatnonzero(craft == kind)
-        target = targets[kind]
-        for start in range(0, len(mine), _BATCH):
-            batch = mine[start : start + _BATCH]
-            filled = np.pad(batch, (0, _BATCH - len(batch)), mode="edge")
+        craft_here = placed((targets[kind].scatterer, *targets[kind].surface), mesh, WHOLE)
+        for start in range(0, len(mine), together):
+            batch = mine[start : start + together]
+            filled = np.pad(batch, (0, together - len(batch)), mode="edge")
             keys = tuple(streams.members(parent, rows[filled]) for parent in parents)
-            results = _compiled(
-                keys, {name: value[filled] for name, value in known.items()}, target.scatterer, *target.surface, config
-            )
+            own = placed((keys, {name: value[filled] for name, value in known.items()}), mesh, SPLIT)
+            results = _compiled(*own, *craft_here, config, mesh)
             for name, value in results.items():
                 store = drawn.setdefault(name, np.empty((len(rows), *value.shape[1:]), value.dtype))
                 store[batch] = np.asarray(value)[: len(batch)]
@@ -117,10 +123,15 @@ def fresh_samples(
     return generate(unheard, flights * slots + flights % slots, targets, seed=seed, domain=domain)
 
 
-@partial(jax.jit, static_argnames="config")
+@partial(jax.jit, static_argnames=("config", "mesh"))
 def _compiled(
-    keys, known, scatterer: Table | Body | Cells, surface, cumulative, config: Config
+    keys, known, scatterer: Table | Body | Cells, surface, cumulative, config: Config, mesh: Mesh
 ) -> dict[str, jax.Array]:
+    made = partial(_made, config)
+    return spread(made, mesh, (SPLIT, SPLIT, WHOLE, WHOLE, WHOLE), SPLIT)(keys, known, scatterer, surface, cumulative)
+
+
+def _made(config: Config, keys, known, scatterer: Table | Body | Cells, surface, cumulative) -> dict[str, jax.Array]:
     def one(points_key, observation_key, row):
         channel = simulated_channel(
             config, scatterer, row["rotation"], row["position"], row["permittivity"], row["conductivity"]

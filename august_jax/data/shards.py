@@ -25,6 +25,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jax.sharding import Mesh
 from jaxtyping import UInt32
 
 from august_jax import streams
@@ -63,6 +64,7 @@ def simulate(
     *,
     part: tuple[int, int] = (1, 1),
     verify: bool = False,
+    mesh: Mesh | None = None,
     progress: Progress = silent,
 ) -> dict[str, Any]:
     """Make the data of ``config`` in ``folder``, or what of them is still missing.
@@ -72,6 +74,7 @@ def simulate(
         folder: created if absent.
         part: (i, n) writes the i-th of n interleaved sets of shards, i from 1.
         verify: compare the sha256 of every array that is there, and make shards that are damaged again.
+        mesh: devices that share the work; None takes :func:`~august_jax.mesh.own_accelerators`.
         progress: takes lines of progress.
 
     Returns:
@@ -110,7 +113,7 @@ def simulate(
             pieces = []
             for start in range(low, high, _PIECE):
                 rows = np.arange(start, min(start + _PIECE, high))
-                pieces.append(generate(config, rows, targets))
+                pieces.append(generate(config, rows, targets, mesh=mesh))
                 written += len(rows)
                 elapsed = time.perf_counter() - began
                 left = elapsed / written * (total - written)

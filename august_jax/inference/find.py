@@ -139,7 +139,7 @@ def _looked(library, statistics, prior, snr_db, plan: _Plan, attitudes, met: lis
     table, subspace = library.table, library.subspace
     place = bearing(statistics, subspace, library.config.region.scale_m)
     reach_m = float(np.sqrt(3.0) * prior.half_m)  # of the prediction's range, which bearings leave alone
-    seen = screen(library.survey, subspace, statistics, place, attitudes, plan.looked, reach_m)
+    seen = screen(library.shared_survey, subspace, statistics, place, attitudes, plan.looked, reach_m)
     low, high = np.asarray(prior.permittivity)
     permittivity = np.clip(1.0 + library.survey_contrast * np.abs(seen.gain), low, high)
     loss = np.full(len(permittivity), float(prior.middle()[1]), np.float32)

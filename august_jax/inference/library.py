@@ -12,6 +12,7 @@ from jaxtyping import Float
 from august_jax.config import Config
 from august_jax.data.simulator import Target, check_table, contrast_of, prepare_targets, tabulate_targets
 from august_jax.inference.screen import attitude_lattice
+from august_jax.mesh import WHOLE, own_accelerators, placed
 from august_jax.physics import Body, Table, stack_tables
 from august_jax.physics.body.survey import SurveyTable, survey_table
 from august_jax.progress import Progress, silent
@@ -53,6 +54,11 @@ class Library:
     def others(self) -> Float[np.ndarray, "m 3 3"]:
         """Attitudes that a search looks at where the first led to no explanation (m, 3, 3) float32."""
         return _attitudes(self.config, _OTHERS * self.spacing_deg)
+
+    @cached_property
+    def shared_survey(self) -> SurveyTable:
+        """The survey, on all of this host's accelerators."""
+        return placed(self.survey, own_accelerators(), WHOLE)
 
     @property
     def airframes(self) -> tuple[Airframe, ...]:

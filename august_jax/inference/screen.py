@@ -18,6 +18,8 @@ Several tones share the gain. With o_f = <A_f C_f, Z_f> and e_f = ||A_f C_f||^2 
 at a range that is d greater than that of the place, k' being the mean wavenumber; each attitude takes the d, too, that
 suits it best. Two tones alone tell d up to a multiple of pi/(k_2 - k_1): less than 75 MHz apart they tell it within a
 metre either way.
+
+Each device of a mesh looks at attitudes of its own.
 """
 
 from __future__ import annotations
@@ -30,9 +32,11 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.sharding import Mesh, PartitionSpec
 from jaxtyping import Bool, Complex, Float, Int
 
 from august_jax.arrays import Array
+from august_jax.mesh import ROWS, SPLIT, WHOLE, own_accelerators, placed, spread
 from august_jax.physics.body.patch import fibonacci_lattice
 from august_jax.physics.body.survey import SurveyTable, nearest_directions, surveyed_coefficients
 from august_jax.physics.parameters import rotation_from_vector
@@ -102,6 +106,8 @@ def screen(
     attitudes: Float[np.ndarray, "n 3 3"],
     keep: int,
     reach_m: float = 0.0,
+    *,
+    mesh: Mesh | None = None,
 ) -> Screened:
     """The ``keep`` best of all attitudes of all craft.
 
@@ -113,7 +119,10 @@ def screen(
         attitudes: candidates, body to world (n, 3, 3).
         keep: how many to return.
         reach_m: how much nearer or farther than the place a craft may be, where several tones tell its range [m].
+        mesh: devices that share the attitudes; None takes :func:`~august_jax.mesh.own_accelerators`.
     """
+    mesh = own_accelerators() if mesh is None else mesh
+    survey = placed(survey, mesh, WHOLE)
     place = np.asarray(place, np.float32)
     distance = np.linalg.norm(place)
     sight = place / distance
@@ -124,11 +133,13 @@ def screen(
     beside = place + steps[:, :1] * across + steps[:, 1:] * upward
     beside *= distance / np.linalg.norm(beside, axis=1, keepdims=True)
     farther = _ranges(subspace, reach_m)
-    direction, rows, real = _blocks(nearest_directions(survey, 0, -sight @ attitudes))
+    together = _BLOCKS * mesh.size
+    direction, rows, real = _blocks(nearest_directions(survey, 0, -sight @ attitudes), together)
     crafts = survey.directions.shape[0]
 
     def compared(piece: slice) -> list[np.ndarray]:
         found = _compared(
+            mesh,
             survey,
             subspace,
             statistics,
@@ -140,7 +151,7 @@ def screen(
         )
         return [np.asarray(leaf) for leaf in found]
 
-    pieces = [slice(start, start + _BLOCKS) for start in range(0, len(direction), _BLOCKS)]
+    pieces = [slice(start, start + together) for start in range(0, len(direction), together)]
     with ThreadPoolExecutor(2) as pool:  # small products keep one core busy
         residual, which, far, gain = (
             np.concatenate(parts, axis=1) for parts in zip(*pool.map(compared, pieces), strict=True)
@@ -170,9 +181,10 @@ def _ranges(subspace: Subspace, reach_m: float) -> Float[np.ndarray, " n"]:
 
 
 def _blocks(
-    direction: Int[np.ndarray, " n"],
+    direction: Int[np.ndarray, " n"], together: int
 ) -> tuple[Int[np.ndarray, " blocks"], Int[np.ndarray, "blocks size"], Bool[np.ndarray, "blocks size"]]:
-    """Blocks of rows that share a direction: the direction, the rows, and which of them are not there to fill up."""
+    """Blocks of rows that share a direction, a multiple of ``together``: the direction, the rows, and which of them are
+    not there to fill up."""
     order = np.argsort(direction, kind="stable")
     named, start, count = np.unique(direction[order], return_index=True, return_counts=True)
     blocks = -(-count // BLOCK)
@@ -181,14 +193,23 @@ def _blocks(
     end = np.repeat(start + count, blocks)[:, None]
     rows = first[:, None] + np.arange(BLOCK)
     real = rows < end
-    spare = -total % _BLOCKS  # one shape, one compilation
+    spare = -total % together  # one shape, one compilation
     direction = np.pad(np.repeat(named, blocks), (0, spare)).astype(np.int32)
     rows = np.pad(order[np.minimum(rows, end - 1)], ((0, spare), (0, 0)))
     return direction, rows, np.pad(real, ((0, spare), (0, 0)))
 
 
-@partial(jax.jit, static_argnames="subspace")
-def _compared(survey, subspace, statistics, place, beside, farther, direction, attitudes):
+@partial(jax.jit, static_argnames=("mesh", "subspace"))
+def _compared(mesh, survey, subspace, *others):
+    """:func:`_looked_at`, by each device of its blocks."""
+
+    def own(survey, *others):
+        return _looked_at(survey, subspace, *others)
+
+    return spread(own, mesh, (*[WHOLE] * 5, SPLIT, SPLIT), PartitionSpec(None, ROWS))(survey, *others)
+
+
+def _looked_at(survey, subspace, statistics, place, beside, farther, direction, attitudes):
     """Residual, best place beside, best range and gain of each craft's blocks (C, blocks, BLOCK)."""
     received, pilots = moved_statistics(statistics, beside, subspace)
     count, orders = len(beside), received.shape[-1]

@@ -7,11 +7,11 @@ import os
 from pathlib import Path
 from typing import Any
 
-from august_jax.app.cli.common import chosen_config, folder
+from august_jax.app.cli.common import chosen_config, devices_argument, folder
 from august_jax.app.cli.dry import about, dry_run_argument, long, size, told_plan
 from august_jax.app.cli.messages import command_line, note, say
 from august_jax.app.cli.parser import Command, part, presets_help
-from august_jax.config import Config
+from august_jax.config import Config, ConfigError
 
 
 def _arguments(parser: argparse.ArgumentParser) -> None:
@@ -28,6 +28,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
         help="read what is there, compare its check sums, and make damaged pieces again",
     )
 
+    devices_argument(parser, "the samples")
     dry_run_argument(parser)
 
 
@@ -37,8 +38,14 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
     if args.dry_run:
         return _plan(args, config, out, shard)
     from august_jax.data import content_sum, simulate
+    from august_jax.mesh import data_mesh, own_accelerators
 
-    manifest = simulate(config, out, part=shard, verify=args.verify, progress=note)
+    mesh = data_mesh(args.devices, local=True) if args.devices else own_accelerators()
+    if mesh.size > own_accelerators().size:
+        raise ConfigError(
+            f"--devices: {args.devices} devices of one processor share its cores; make parts side by side, --shard I/N"
+        )
+    manifest = simulate(config, out, part=shard, verify=args.verify, mesh=mesh, progress=note)
     done = manifest["rows"] >= manifest["wanted"]
     say(
         args,
