@@ -2,6 +2,8 @@
 
 import json
 import shutil
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -57,6 +59,29 @@ def test_one_four_and_eight_workers_make_the_same(tmp_path, monkeypatch, capsys)
     merged = json.loads(capsys.readouterr().out)
     assert (merged["written"], merged["rows"], merged["content"]) == (0, 64, wanted)
     assert len({(tmp_path / name / "manifest.json").read_bytes() for name in ("one", "four", "eight")}) == 1
+
+
+_FEW_FILES = """
+import resource, sys
+resource.setrlimit(resource.RLIMIT_NOFILE, (200, resource.getrlimit(resource.RLIMIT_NOFILE)[1]))
+import numpy as np
+from august_jax.data import Dataset
+dataset = Dataset(sys.argv[1])
+print(dataset.count, len(dataset.flights), *dataset.read(np.arange(0, 64, 3)).slot)
+"""
+
+
+def test_more_shards_than_files_may_be_open_are_read_in_turn(tmp_path):
+    """Of 200 files a process keeps 16 shards of nine columns open."""
+    pytest.importorskip("resource")
+    config = override(preset("smoke"), [*SET, "data.solver=born", "data.shard_rows=1"])
+    data.simulate(config, tmp_path)
+    run = subprocess.run(
+        [sys.executable, "-c", _FEW_FILES, str(tmp_path)], capture_output=True, text=True, timeout=120, check=False
+    )
+    assert run.returncode == 0, run.stderr
+    slots = np.arange(0, 64, 3) % config.flight.slots
+    assert [int(word) for word in run.stdout.split()] == [64, 64, *slots]
 
 
 def test_a_hash_of_the_content_tells_one_changed_number(tmp_path):

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Sequence
+from functools import lru_cache
 from pathlib import Path
 from tokenize import TokenError
-from typing import Any, Literal, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
 import jax
 import numpy as np
 from jaxtyping import Int
 
 from august_jax import streams
-from august_jax.arrays import rows_not_finite
 from august_jax.config import Config, read
 from august_jax.data.fields import Batch, Observed, Sample
 from august_jax.data.generate import split_of
@@ -24,6 +25,7 @@ from august_jax.files import sha256_of
 
 Split = Literal["train", "validation", "test"]
 SPLITS: tuple[Split, ...] = get_args(Split)
+_MOST_FILES = 32_768
 
 
 class Dataset:
@@ -48,63 +50,28 @@ class Dataset:
                 "them once more, which writes it again"
             )
         self.config = read(folder / "config.yaml")
-        self._folder = folder
-        self._shards: list[dict[str, np.ndarray]] = []
-        self._sums: list[dict[str, np.ndarray]] = []
-        self._names = list(manifest["shards"])
-        for name, (low, high) in manifest["shards"].items():
-            meta = read_meta(folder / name) or {"arrays": {}}
-            columns = {
-                column: self._mapped(name, f"{column}.npy", (about.get("shape"), about.get("dtype")), high - low)
-                for column, about in meta["arrays"].items()
-            }
-            sums = {}
-            if "row_sums" in meta:
-                kept = self._mapped(name, ROW_SUMS, ([high - low, len(columns)], "uint32"), high - low)
-                sums = dict(zip(columns, kept.T, strict=True))
-            self._shards.append(columns)
-            self._sums.append(sums)
+        names, rows = list(manifest["shards"]), [high - low for low, high in manifest["shards"].values()]
+        arrays = 1 + max((len((read_meta(folder / name) or {"arrays": ()})["arrays"]) for name in names[:1]), default=0)
+        self._opened = lru_cache(_most_opened(arrays))(lambda number: _open(folder / names[number], rows[number]))
+        # looks at every shard
+        flights = [self._taken(number, "flight", np.arange(count)) for number, count in enumerate(rows)]
         if manifest["rows"] < manifest["wanted"]:
             raise DataError(
                 f"folder: {folder} holds {manifest['rows']} of {manifest['wanted']} samples; run the `august "
                 "simulate` that made them once more: it makes what is missing"
             )
-        self._starts = np.cumsum([0, *(len(columns["flight"]) for columns in self._shards)])
+        self._starts = np.cumsum([0, *rows])
         self.count = int(self._starts[-1])
-        self.flights = np.concatenate(
-            [self._taken(number, "flight", np.arange(len(each["flight"]))) for number, each in enumerate(self._shards)]
-        )
-
-    def _mapped(self, shard: str, file: str, form: tuple[Any, Any], rows: int) -> np.ndarray:
-        """An array of a shard, as its description says it is."""
-        try:
-            array = np.load(self._folder / shard / file, mmap_mode="r", allow_pickle=False)
-            found = [list(array.shape), str(array.dtype)]
-            whole = len(array) == rows and array.flags.c_contiguous and found == list(form)
-        except (OSError, ValueError, EOFError, TypeError, SyntaxError, TokenError):
-            whole = False
-        if not whole:
-            raise self._damaged(shard, file)
-        return array
+        self.flights = np.concatenate(flights)
 
     def _taken(self, number: int, column: str, rows: Int[np.ndarray, " n"]) -> np.ndarray:
-        """Rows of a column of a shard, compared with their check sums, and finite."""
-        taken = self._shards[number][column][rows]
-        sums = self._sums[number].get(column)
+        """Rows of a column of a shard, compared with their check sums."""
+        shard = self._opened(number)
+        taken = shard.columns[column][rows]
+        sums = shard.sums.get(column)
         if sums is not None and not np.array_equal(row_sums(taken), sums[rows]):
-            raise self._damaged(self._names[number], f"{column}.npy")
-        if len(wrong := rows_not_finite(taken)):
-            raise DataError(
-                f"{self._folder / self._names[number]}: {column}.npy holds NaN or infinity in {len(wrong)} of "
-                f"{len(rows)} rows, the first is row {self._starts[number] + rows[wrong[0]]} of the data, as they were "
-                "written; remove that shard and run the `august simulate` that made it once more"
-            )
+            raise _damaged(shard.path, f"{column}.npy")
         return taken
-
-    def _damaged(self, shard: str, file: str) -> DataError:
-        return DataError(
-            f"{self._folder / shard}: {file} is damaged; simulate once more with verify=True, which makes it again"
-        )
 
     def rows(self, split: Split) -> Int[np.ndarray, " n"]:
         """Places of the rows of ``train``, ``validation`` or ``test``."""
@@ -134,13 +101,69 @@ class Dataset:
         places = places.astype(np.int64) % max(self.count, 1)
         shard = np.searchsorted(self._starts, places, side="right") - 1
         result: dict[str, np.ndarray] = {}
-        names = [name for name in self._shards[0] if observed or name not in Observed._fields]
+        names = [name for name in self._opened(0).columns if observed or name not in Observed._fields]
         for number in np.unique(shard).tolist():
             mine = np.flatnonzero(shard == number)
             for name in names:
                 taken = self._taken(number, name, places[mine] - self._starts[number])
                 result.setdefault(name, np.empty((len(places), *taken.shape[1:]), taken.dtype))[mine] = taken
         return Sample.of_columns(result)
+
+
+class _Shard(NamedTuple):
+    """A shard's arrays, memory-mapped: its columns, and the check sums of each one's rows."""
+
+    path: Path
+    columns: dict[str, np.ndarray]
+    sums: dict[str, np.ndarray]
+
+
+def _most_opened(arrays: int) -> int:
+    """Shards of so many arrays that are open at once: each array is a file that stays open and a mapping, of which a
+    process gets so many (often 1024, and 65,530)."""
+    try:
+        import resource
+
+        files = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+    except ImportError:  # not on Windows
+        files = 512
+    if files < 0:  # no limit
+        files = _MOST_FILES
+    return max(int(0.8 * min(files, _MOST_FILES)) // arrays, 1)
+
+
+def _open(path: Path, rows: int) -> _Shard:
+    meta = read_meta(path) or {"arrays": {}}
+    columns = {
+        column: _mapped(path, f"{column}.npy", (about.get("shape"), about.get("dtype")), rows)
+        for column, about in meta["arrays"].items()
+    }
+    sums = {}
+    if "row_sums" in meta:
+        kept = _mapped(path, ROW_SUMS, ([rows, len(columns)], "uint32"), rows)
+        sums = dict(zip(columns, kept.T, strict=True))
+    return _Shard(path, columns, sums)
+
+
+def _mapped(shard: Path, file: str, form: tuple[Any, Any], rows: int) -> np.ndarray:
+    """An array of a shard, as its description says it is."""
+    try:
+        array = np.load(shard / file, mmap_mode="r", allow_pickle=False)
+        found = [list(array.shape), str(array.dtype)]
+        whole = len(array) == rows and array.flags.c_contiguous and found == list(form)
+    except OSError as error:
+        if error.errno in (errno.EMFILE, errno.ENFILE):
+            raise
+        whole = False
+    except (ValueError, EOFError, TypeError, SyntaxError, TokenError):
+        whole = False
+    if not whole:
+        raise _damaged(shard, file)
+    return array
+
+
+def _damaged(shard: Path, file: str) -> DataError:
+    return DataError(f"{shard}: {file} is damaged; simulate once more with verify=True, which makes it again")
 
 
 def _sum_of(path: Path) -> str:
