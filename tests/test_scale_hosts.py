@@ -5,6 +5,7 @@ import os
 import socket
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -20,13 +21,13 @@ PATIENCE_S = 240
 """A host that hangs is a failure, not a hang; quiet, two take fifteen seconds."""
 
 
-def both(what, folder):
-    """What two hosts printed last, as JSON."""
+def started(what, folder):
+    """Two hosts at work."""
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
     env = os.environ | {"JAX_PLATFORMS": "cpu", "PYTHONPATH": os.pathsep.join([str(HERE), str(HERE.parent)])}
-    started = [
+    return [
         subprocess.Popen(
             [sys.executable, str(HERE / "two_hosts.py"), str(place), str(port), str(folder), what],
             env=env,
@@ -36,12 +37,17 @@ def both(what, folder):
         )
         for place in (1, 2)
     ]
+
+
+def both(what, folder):
+    """What two hosts printed last, as JSON."""
+    hosts = started(what, folder)
     try:
-        told = [host.communicate(timeout=PATIENCE_S) for host in started]
+        told = [host.communicate(timeout=PATIENCE_S) for host in hosts]
     finally:
-        for host in started:
+        for host in hosts:
             host.kill()
-    for (out, err), host in zip(told, started):
+    for (out, err), host in zip(told, hosts):
         assert host.returncode == 0, out[-2000:] + err[-3000:]
     return [json.loads(out.splitlines()[-1]) for out, _ in told]
 
@@ -77,6 +83,24 @@ def test_each_host_places_its_own_rows(tmp_path):
 def test_where_one_host_cannot_begin_neither_does(what, messages, tmp_path):
     for told, message in zip(both(what, tmp_path), messages):
         assert message in told["refused"]
+
+
+@pytest.mark.slow
+def test_a_host_that_dies_ends_the_other_and_the_run_goes_on(tmp_path):
+    first, second = started("dies", tmp_path / "run")
+    try:
+        second.communicate(timeout=PATIENCE_S)
+        began = time.monotonic()
+        first.communicate(timeout=PATIENCE_S)
+        waited = time.monotonic() - began
+    finally:
+        first.kill()
+        second.kill()
+    assert second.returncode == 9 and first.returncode != 0 and waited < 150.0
+    said = []
+    train(RUN, batch_of, tmp_path / "run", progress=said.append)
+    assert said[0] == "continuing from step 4 of 8"
+    print(f"the other host ended after {waited:.0f} s")
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ python tests/two_hosts.py PLACE PORT FOLDER WHAT     PLACE 1 or 2
 """
 
 import json
+import os
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -57,6 +58,17 @@ def occupied(folder: Path, place: int) -> None:
         train(RUN, batch_of, folder / "run")
 
 
+def dies(folder: Path, place: int) -> None:
+    """The second host is gone amid the run."""
+
+    def batch(step):
+        if step == 5 and place == 2:
+            os._exit(9)
+        return batch_of(step)
+
+    train(RUN, batch, folder)
+
+
 def own_parts(folder: Path, place: int) -> None:
     """Each host places its own rows of what all have."""
     rows = placed(np.arange(8.0), data_mesh(), SPLIT)
@@ -67,6 +79,6 @@ if __name__ == "__main__":
     place, port, folder, what = int(sys.argv[1]), sys.argv[2], Path(sys.argv[3]), sys.argv[4]
     hosts.join(f"127.0.0.1:{port}", (place, 2), wait_s=60)
     try:
-        {each.__name__: each for each in (trained, differs, occupied, own_parts)}[what](folder, place)
+        {each.__name__: each for each in (trained, differs, occupied, dies, own_parts)}[what](folder, place)
     except ValueError as error:
         print(json.dumps({"refused": str(error)}), flush=True)
