@@ -33,7 +33,7 @@ def compute(campaign: Campaign) -> Numbers:
 
 
 def draw(numbers: Numbers):
-    """The weighted distance, and how much of the prediction's error is left."""
+    """The weighted distance, and how much of the prediction's error is left; answers without an echo are dashed."""
     drawn = new_figure(PAGE_IN, 3.0)
     first, second = drawn.subplots(1, 2)
     for number, scale in enumerate(np.unique(numbers["scale_m"])):
@@ -41,18 +41,23 @@ def draw(numbers: Numbers):
         line = {"august": (f"region of {scale:.2f} m", INK[number], "-")}
         over_snr(first, {name: values[mine["line"] == "august"] for name, values in mine.items()}, "wd_db", line,
                  error="wd_se_db", logarithmic=False)  # fmt: skip
-        own, deaf = mine["line"] == "august", mine["line"] == "prediction"
-        left = mine["mpe_m"][own] / mine["mpe_m"][deaf]
-        second.plot(mine["snr_db"][own], left, color=INK[number], marker="o", ms=3, lw=1.1)
+        own, deaf, mean = (mine["line"] == name for name in ("august", "prediction", "mean_shape"))
+        first.plot(mine["snr_db"][mean], mine["wd_db"][mean], color=INK[number], ls="--", lw=0.8)
+        missed = mine["mpe_m"][deaf]
+        second.plot(mine["snr_db"][own], mine["mpe_m"][own] / missed, color=INK[number], marker="o", ms=3, lw=1.1)
+        second.plot(mine["snr_db"][own], mine["bound_m"][own] / missed, color=INK[number], ls="-.", lw=0.8)
     floor = numbers["line"] == "resampling"
     order = np.argsort(numbers["snr_db"][floor])
     first.plot(numbers["snr_db"][floor][order], numbers["wd_db"][floor][order], color="#999999", ls=":", lw=1.0,
                label="the true surface anew: the floor")  # fmt: skip
+    first.plot([], [], color="#555555", ls="--", lw=0.8, label="the mean craft at the prediction")
     first.set_ylabel("weighted distance [dB]")
-    second.set(xlabel="SNR [dB]", ylabel="position error over that of the prediction", ylim=(0.0, None))
     second.axhline(1.0, color="#555555", ls="--", lw=1.0, label="answering the prediction")
+    second.plot([], [], color="#555555", ls="-.", lw=0.8, label="bound, craft known")
+    second.set(xlabel="SNR [dB]", ylabel="position error over that of the prediction", yscale="log", ylim=(None, 1.15))
+    second.yaxis.set_major_formatter("{x:g}")
     plain(second)
-    legend_below(drawn, 5)
+    legend_below(drawn, 4)
     return drawn
 
 
