@@ -6,7 +6,8 @@
 A claim names the figure that it is about, what the paper says, and for each scale the verdict (``agrees``, ``partly``,
 ``not``) with the numbers that it rests on. A number says where it is read: a column of the figure's results (or of
 another ``file`` below ``results``), the entries ``where`` other columns have certain values, of what is left the place
-``at`` or else the mean. It is told to as many places as it is written.
+``at`` of the last axis, or the places ``since`` one, or all; then the mean of what is a number. It is told to as many
+places as it is written.
 """
 
 from __future__ import annotations
@@ -79,8 +80,8 @@ def read(number: dict[str, Any], path: Path) -> float:
         chosen &= column == wanted if column.dtype.kind in "US" else np.isclose(column, float(wanted))
     if not chosen.any():
         raise ValueError(f"{path.name} has no entry where {number['where']}")
-    left = values[chosen]
-    return float(left[..., number["at"]].mean() if "at" in number else left.mean())
+    left = values[chosen][..., number["at"] if "at" in number else slice(number.get("since", 0), None)]
+    return float(np.nanmean(left))
 
 
 def faults(found: Sequence[Claim], names: Sequence[str], results: Path) -> list[str]:

@@ -18,6 +18,7 @@ CLAIM = """
     numbers:
       - {what: at 20 dB, column: mpe_m, where: {line: august, snr_db: 20}, value: %s, unit: m}
       - {what: the second power, column: wd_db, at: 1, value: -3.0, unit: dB}
+      - {what: from slot 2 on, column: error_m, where: {style: smooth}, since: 1, value: 0.3, unit: m}
       - {what: one cloud, file: times.json, column: one_s, where: {sampler: dpm}, times: 1000, value: 12.5, unit: ms}
 """
 
@@ -39,6 +40,8 @@ def results(tmp_path):
         line=np.array(["august", "august", "polar"]),
         snr_db=np.array([10.0, 20.0, 20.0]),
         mpe_m=np.array([0.3, 0.1249, 0.5]),
+        style=np.array(["smooth", "dynamic"]),
+        error_m=np.array([[[9.0, 0.2, 0.4], [np.nan] * 3], [[9.0, 8.0, 7.0]] * 2]),  # nobody followed the second flight
         wd_db=np.array([[1.0, -2.0], [1.0, -3.0], [1.0, -4.0]]),
     )
     rows = [{"sampler": "ancestral", "one_s": 0.2}, {"sampler": "dpm", "one_s": 0.0125}]
@@ -58,7 +61,7 @@ def test_numbers_as_the_results_have_them_pass_and_are_told(verdict, results):
     found, wrong = told(verdict, results, CLAIM % "0.125")
     assert not wrong
     assert verdict.lines(found, results).splitlines()[2] == (
-        "| errs least | laptop: at 20 dB 0.125 m; the second power -3.0 dB; one cloud 12.5 ms | "
+        "| errs least | laptop: at 20 dB 0.125 m; the second power -3.0 dB; from slot 2 on 0.3 m; one cloud 12.5 ms | "
         "laptop: **agrees**<br>paper: not run | because |"
     )
 
@@ -69,7 +72,7 @@ def test_numbers_as_the_results_have_them_pass_and_are_told(verdict, results):
         ("%s", "0.126", "position_error, laptop, at 20 dB: written 0.126, the results say 0.1249"),
         ("%s", "0.1250", "written 0.1250, the results say 0.1249"),
         ("snr_db: 20", "snr_db: 25", "no entry where"),
-        ("mpe_m", "mpe", "has no column 'mpe'; there are line, mpe_m"),
+        ("mpe_m", "mpe", "has no column 'mpe'; there are error_m, line, mpe_m"),
         ("agrees", "maybe", "verdict 'maybe'; there are agrees, partly, not"),
         ("times.json", "none.json", "No such file"),
         ("figure: position_error", "figure: other", "position_error: no claim is about this figure"),
