@@ -9,8 +9,8 @@ and so is its gradient: each device works on its rows (:func:`spread`), and what
 (:func:`own_rows`): the numbers are those of one device, whatever generator draws them. On one device none of this is
 there, and programs are those of the functions alone.
 
-The devices may be those of several hosts (:mod:`august_jax.hosts`); each then holds the whole batch and places the
-rows of its own devices (:func:`placed`).
+The devices may be those of several hosts (:mod:`august_jax.hosts`). Each then has the whole batch, of which it places
+the rows of its own devices (:func:`placed`), or it makes these alone (:func:`rows_here`, :func:`joined`).
 """
 
 from __future__ import annotations
@@ -122,7 +122,8 @@ def _apart() -> bool:
 
 
 def placed(tree: T, mesh: Mesh, spec: PartitionSpec) -> T:
-    """Arrays where ``spec`` has them on the mesh; every host gives them whole. On one device ``tree`` itself."""
+    """Arrays where ``spec`` has them on the mesh, of which every host gives the whole, or :func:`joined` ones. On one
+    device ``tree`` itself."""
     if mesh.size == 1:
         return tree
     sharding = NamedSharding(mesh, spec)
@@ -130,10 +131,45 @@ def placed(tree: T, mesh: Mesh, spec: PartitionSpec) -> T:
     def leaf(value: Any) -> jax.Array:
         if jax.process_count() == 1:
             return jax.device_put(value, sharding)
+        if isinstance(value, jax.Array) and not value.is_fully_addressable:
+            return value
         if jax.dtypes.issubdtype(value.dtype, jax.dtypes.prng_key):
             return jax.random.wrap_key_data(leaf(jax.random.key_data(value)), impl=jax.random.key_impl(value))
         whole = np.asarray(value)
         return jax.make_array_from_callback(whole.shape, sharding, lambda part: whole[part])
+
+    return jax.tree.map(leaf, tree)
+
+
+def rows_here(count: int, mesh: Mesh) -> tuple[int, int]:
+    """The first of a batch's rows that belong to this host's devices, and the one behind the last."""
+    own = [number for number, device in enumerate(mesh.devices.flat) if device.process_index == jax.process_index()]
+    each = count // mesh.size
+    return own[0] * each, (own[-1] + 1) * each
+
+
+def joined(tree: T, mesh: Mesh) -> T:
+    """Arrays of all rows, of which each host gives its own (:func:`rows_here`). On one host ``tree`` itself."""
+    if jax.process_count() == 1:
+        return tree
+    sharding = NamedSharding(mesh, SPLIT)
+    own = [device for device in mesh.devices.flat if device.process_index == jax.process_index()]
+
+    def leaf(value: jax.Array) -> jax.Array:
+        each = len(value) // len(own)
+        parts = [jax.device_put(value[each * i : each * (i + 1)], device) for i, device in enumerate(own)]
+        return jax.make_array_from_single_device_arrays((each * mesh.size, *value.shape[1:]), sharding, parts)
+
+    return jax.tree.map(leaf, tree)
+
+
+def rows_kept_here(tree: T) -> T:
+    """Of :func:`joined` arrays the rows of this host, as NumPy; others as they are."""
+
+    def leaf(value: Any) -> Any:
+        if not isinstance(value, jax.Array) or value.is_fully_addressable:
+            return value
+        return np.concatenate([np.asarray(part.data) for part in value.addressable_shards])
 
     return jax.tree.map(leaf, tree)
 

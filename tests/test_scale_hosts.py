@@ -8,12 +8,15 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 from test_training import CONFIG  # noqa: F401  (the hosts import it: a fault of it shows here)
-from two_hosts import RUN, batch_of
+from two_hosts import RUN, STREAM, batch_of
 
 from august_jax import hosts
 from august_jax.app import cli
+from august_jax.config import override
+from august_jax.data import StreamedBatches, prepare_targets
 from august_jax.training import train
 
 HERE = Path(__file__).parent
@@ -83,6 +86,16 @@ def test_each_host_places_its_own_rows(tmp_path):
 def test_where_one_host_cannot_begin_neither_does(what, messages, tmp_path):
     for told, message in zip(both(what, tmp_path), messages):
         assert message in told["refused"]
+
+
+@pytest.mark.filterwarnings("ignore:cells.volumes")
+def test_each_host_makes_its_own_rows_of_a_stream(tmp_path):
+    whole = StreamedBatches(STREAM, prepare_targets(override(STREAM, ["data.solver=table"])))(3)
+    parts = both("streamed", tmp_path)  # whose tables are in the cache now
+    for name in ("cloud", "predicted"):
+        rows = np.concatenate([part[name] for part in parts])
+        assert [len(part[name]) for part in parts] == [4, 4]
+        np.testing.assert_allclose(rows, getattr(whole, name), rtol=1e-4, atol=1e-5)
 
 
 @pytest.mark.slow

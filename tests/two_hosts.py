@@ -13,11 +13,14 @@ import numpy as np
 from test_training import CONFIG, next_batch
 
 from august_jax import hosts
-from august_jax.mesh import SPLIT, data_mesh, placed
+from august_jax.config import override, preset
+from august_jax.data import StreamedBatches, prepare_targets
+from august_jax.mesh import SPLIT, data_mesh, placed, rows_kept_here
 from august_jax.training import train
 
 RUN = replace(CONFIG, train=replace(CONFIG.train, steps=8, batch=16, save_every=4))
 """Eight steps, saved twice."""
+STREAM = override(preset("smoke"), ["train.source=stream", "train.batch=8", "target.points=20"])
 
 
 def batch_of(step):
@@ -69,6 +72,13 @@ def dies(folder: Path, place: int) -> None:
     train(RUN, batch, folder)
 
 
+def streamed(folder: Path, place: int) -> None:
+    """Each host makes its own rows of a streamed batch."""
+    batches = StreamedBatches(STREAM, prepare_targets(override(STREAM, ["data.solver=table"])))
+    batch = rows_kept_here(batches(3))
+    print(json.dumps({"cloud": batch.cloud.tolist(), "predicted": batch.predicted.tolist()}), flush=True)
+
+
 def own_parts(folder: Path, place: int) -> None:
     """Each host places its own rows of what all have."""
     rows = placed(np.arange(8.0), data_mesh(), SPLIT)
@@ -79,6 +89,6 @@ if __name__ == "__main__":
     place, port, folder, what = int(sys.argv[1]), sys.argv[2], Path(sys.argv[3]), sys.argv[4]
     hosts.join(f"127.0.0.1:{port}", (place, 2), wait_s=60)
     try:
-        {each.__name__: each for each in (trained, differs, occupied, dies, own_parts)}[what](folder, place)
+        {each.__name__: each for each in (trained, differs, occupied, dies, streamed, own_parts)}[what](folder, place)
     except ValueError as error:
         print(json.dumps({"refused": str(error)}), flush=True)

@@ -21,6 +21,7 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.sharding import Mesh
 from jaxtyping import Float, Int
 
 from august_jax import streams
@@ -31,6 +32,7 @@ from august_jax.data.generate import fresh_samples
 from august_jax.data.observe import draw_level, draw_prediction
 from august_jax.data.reference import TOGETHER, heard_by_table, reference_channels
 from august_jax.data.simulator import Target, prepare_targets, tables_of
+from august_jax.mesh import check_divides, data_mesh, joined, rows_here
 from august_jax.physics import Table
 from august_jax.progress import Progress, silent
 from august_jax.scene.airframes import sample_triangles
@@ -51,13 +53,19 @@ class StreamedBatches:
     Args:
         config: everything; of ``train`` the batch's size and the seed.
         targets: with tables, from :func:`~august_jax.data.simulator.prepare_targets` with ``data.solver=table``.
+        mesh: of the training; of several hosts each makes the rows of its own devices. None takes all that JAX sees.
 
     Raises:
-        ValueError: targets without tables, or tables that do not hold all that this configuration's craft may be.
+        ValueError: targets without tables, or tables that do not hold all that this configuration's craft may be; or
+            hosts that cannot share the batch equally.
     """
 
-    def __init__(self, config: Config, targets: Sequence[Target]):
-        self._config = config
+    def __init__(self, config: Config, targets: Sequence[Target], mesh: Mesh | None = None):
+        self._config, self._mesh = config, data_mesh() if mesh is None else mesh
+        self._rows = 0, config.train.batch
+        if jax.process_count() > 1:
+            check_divides(config.train.batch, self._mesh)
+            self._rows = rows_here(config.train.batch, self._mesh)
         self._tables = tables_of(config, targets)
         self._surfaces = tuple(jnp.asarray(np.stack(part)) for part in zip(*(target.surface for target in targets)))
         self._block = 1 if jax.default_backend() == "cpu" else max(1, _TOGETHER // config.train.batch)
@@ -69,7 +77,8 @@ class StreamedBatches:
         samples = streams.key(config.train.seed, "stream.sample", step)
         tracks = self._flights(step)
         turn = jnp.asarray(count * step % len(config.target.airframes), jnp.int32)
-        return _streamed(samples, tracks, turn, self._tables, *self._surfaces, config)
+        made = _streamed(samples, tracks, turn, self._tables, *self._surfaces, config, self._rows)
+        return joined(made, self._mesh)
 
     def _flights(self, step: int) -> Flight:
         """Those of a step's samples; of a whole block of steps where these are flown together."""
@@ -77,23 +86,26 @@ class StreamedBatches:
         kept = self._flown  # one read: another thread may put another block there
         if kept is None or kept[0] != block:
             steps = range(block * self._block, (block + 1) * self._block)
-            kept = block, fly_batches(self._config, steps)
+            kept = block, fly_batches(self._config, steps, self._rows)
             self._flown = kept
         return jax.tree.map(lambda leaf: leaf[place], kept[1])
 
 
 @streams.pin
-def fly_batches(config: Config, steps: Sequence[int]) -> Flight:
-    """The flights of the samples of several steps, (steps, train.batch, slots, ...)."""
-    count = config.train.batch
+def fly_batches(config: Config, steps: Sequence[int], rows: tuple[int, int] | None = None) -> Flight:
+    """The flights of the samples of several steps, (steps, train.batch, slots, ...); with ``rows`` of these alone, from
+    the first to the one before the last."""
+    low, high = rows or (0, config.train.batch)
     parents = jnp.stack([streams.key(config.train.seed, "stream.flight", step) for step in steps])
-    keys = jax.vmap(lambda key: jax.random.split(key, count))(parents)
+    keys = jax.vmap(lambda key: jax.random.split(key, config.train.batch)[low:high])(parents)
     flown = fly_many(keys.reshape(-1), config.flight)
-    return jax.tree.map(lambda leaf: leaf.reshape(len(steps), count, *leaf.shape[1:]), flown)
+    return jax.tree.map(lambda leaf: leaf.reshape(len(steps), high - low, *leaf.shape[1:]), flown)
 
 
 @streams.pin
-def open_stream(config: Config, progress: Progress = silent) -> tuple[StreamedBatches, Sample]:
+def open_stream(
+    config: Config, progress: Progress = silent, *, mesh: Mesh | None = None
+) -> tuple[StreamedBatches, Sample]:
     """The batches of a streamed training, and what it is validated on: a few hundred samples, each from its own flight.
 
     The samples for validation come from streams of their own, by ``data.solver``.
@@ -101,15 +113,16 @@ def open_stream(config: Config, progress: Progress = silent) -> tuple[StreamedBa
     Args:
         config: of the training.
         progress: told how far factoring and tabulating are, which take minutes for the first time.
+        mesh: of the training; None takes all that JAX sees.
     """
     targets = prepare_targets(replace(config, data=replace(config.data, solver="table")), progress)
     progress(f"simulating {_VALIDATED} samples for validation ({config.data.solver})")
     asked = targets if config.data.solver == "table" else [replace(target, table=None) for target in targets]
     samples = fresh_samples(config, np.arange(_VALIDATED), asked, seed=config.train.seed, domain="validation")
-    return StreamedBatches(config, targets), samples
+    return StreamedBatches(config, targets, mesh), samples
 
 
-@partial(jax.jit, static_argnames="config")
+@partial(jax.jit, static_argnames=("config", "rows"))
 def _streamed(
     key: jax.Array,
     tracks: Flight,
@@ -118,9 +131,10 @@ def _streamed(
     triangles: Float[Array, "craft triangles 3 3"],
     areas: Float[Array, "craft triangles"],
     config: Config,
+    rows: tuple[int, int],
 ) -> Batch:
-    count = len(tracks.positions)
-    craft = (turn + jnp.arange(count)) % len(triangles)
+    low, high = rows
+    craft = (turn + jnp.arange(low, high)) % len(triangles)
     in_subspace = config.model.encoder == "roi" and config.signal.estimator == "lmmse_roi"
 
     def drawn(key: jax.Array, track: Flight, craft: jax.Array):
@@ -133,7 +147,7 @@ def _streamed(
         predicted = draw_prediction(predicted_key, position, config)
         return points, position, rotation, material, predicted, draw_level(level_key, config), echo_key
 
-    keys = jax.random.split(key, count)
+    keys = jax.random.split(key, config.train.batch)[low:high]
     points, position, rotation, material, predicted, level, echo_keys = jax.vmap(drawn)(keys, tracks, craft)
 
     def channel(place):

@@ -28,7 +28,7 @@ from august_jax import config as configuration
 from august_jax import hosts, streams
 from august_jax.config import Config
 from august_jax.files import DamagedFile, naming, occupying, read_npz, rename, write_text
-from august_jax.mesh import SPLIT, WHOLE, brought_home, check_divides, data_mesh, placed
+from august_jax.mesh import SPLIT, WHOLE, brought_home, check_divides, data_mesh, placed, rows_kept_here
 from august_jax.models import State
 from august_jax.progress import Progress, silent
 from august_jax.training.checkpoint import Checkpoints, save_weights, warm_start
@@ -154,8 +154,8 @@ def train(
                 gathered = jax.device_get(gathered)
                 for number, found in enumerate(gathered, done - len(gathered) + 1):
                     if wrong := not_finite(found):
-                        make = pool.submit(next_batch, number - 1).result
-                        raise _stopped(number, wrong, make, out, checkpoints.latest)
+                        made = pool.submit(next_batch, number - 1)
+                        raise _stopped(number, wrong, made.result, out, checkpoints.latest)
                 now = time.perf_counter()
                 timed = len(gathered) - (done - len(gathered) == start)  # the first step compiled
                 line = {
@@ -240,7 +240,7 @@ def _stopped(
     step: int, terms: list[str], make: Callable[[], Any], out: Path, checkpoint: int | None
 ) -> FloatingPointError:
     if hosts.is_first():
-        return stopped(step, terms, make, out, checkpoint)
+        return stopped(step, terms, lambda: rows_kept_here(make()), out, checkpoint)
     return FloatingPointError(f"training: step {step} gave values that are not finite; the first host says of what")
 
 

@@ -21,6 +21,8 @@ from august_jax.app.cli.parser import Command, presets_help
 from august_jax.config import Config, ConfigError
 
 if TYPE_CHECKING:
+    from jax.sharding import Mesh
+
     from august_jax.data import Batch, Dataset, Sample, StreamedBatches, TrainingBatches
 
 
@@ -68,7 +70,7 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
         any(text.startswith("train.source=") for text in args.overrides)
         and chosen_config(args).train.source == "stream"
     ):
-        config, make = chosen_config(args), _streamed
+        config, make = chosen_config(args), partial(_streamed, mesh)
         if args.data:
             raise ConfigError(
                 f"--data: {args.data}, but train.source=stream makes its samples as it trains\n"
@@ -220,10 +222,10 @@ def _batches(dataset: Dataset, config: Config) -> tuple[TrainingBatches, Dataset
     return batches, dataset
 
 
-def _streamed(config: Config) -> tuple[StreamedBatches, Sample]:
+def _streamed(mesh: Mesh, config: Config) -> tuple[StreamedBatches, Sample]:
     from august_jax.data import open_stream
 
-    made = open_stream(config, note)
+    made = open_stream(config, note, mesh=mesh)
     note(f"samples are made as training goes, {config.train.batch} new ones in each of {config.train.steps} steps")
     return made
 
