@@ -47,7 +47,8 @@ def test_a_few_rounds_compile_nothing_twice_and_leave_nothing_open(tmp_path):
     for end in later:
         assert not {"simulate", "train"} & set(end["compiled"]), end
         assert end["files"] == later[0]["files"] and end["threads"] == later[0]["threads"]
-        if end["live_mib"] is not None:  # of 1270; of it some 0.3 a round for shapes that are met for the first time
-            assert end["live_mib"] - later[0]["live_mib"] < 20.0
-    # the search meets numbers of candidates for the first time, and compiles for them
+    if later[0]["live_mib"] is not None:
+        # at most 0.3 a round, and 1.4 a program that the search compiles for numbers of candidates it has not met
+        programs = sum(end["compiled"].get("search", 0) for end in later[1:])
+        assert later[-1]["live_mib"] - later[0]["live_mib"] < 5.0 + 2.0 * programs
     assert later[-1]["mappings"] - later[0]["mappings"] < 500 * (len(later) - 1)
