@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Int
 
 from august_jax import streams
+from august_jax.arrays import rows_not_finite
 from august_jax.config import Config, read
 from august_jax.data.fields import Batch, Observed, Sample
 from august_jax.data.generate import split_of
@@ -65,12 +66,18 @@ class Dataset:
         self.flights = np.concatenate(flights)
 
     def _taken(self, number: int, column: str, rows: Int[np.ndarray, " n"]) -> np.ndarray:
-        """Rows of a column of a shard, compared with their check sums."""
+        """Rows of a column of a shard, compared with their check sums, and finite."""
         shard = self._opened(number)
         taken = shard.columns[column][rows]
         sums = shard.sums.get(column)
         if sums is not None and not np.array_equal(row_sums(taken), sums[rows]):
             raise _damaged(shard.path, f"{column}.npy")
+        if len(wrong := rows_not_finite(taken)):
+            raise DataError(
+                f"{shard.path}: {column}.npy holds NaN or infinity in {len(wrong)} of {len(rows)} rows, the first is "
+                f"row {self._starts[number] + rows[wrong[0]]} of the data, as they were written; remove that shard and "
+                "run the `august simulate` that made it once more"
+            )
         return taken
 
     def rows(self, split: Split) -> Int[np.ndarray, " n"]:

@@ -67,7 +67,7 @@ def use_data(folder: Path) -> None:
 
 
 def mend_data(folder: Path) -> None:
-    shards.generate = lambda config, rows, targets: samples(rows, config)
+    shards.generate = lambda config, rows, targets, **_: samples(rows, config)
     shards.prepare_targets = lambda config, progress: []
     data.simulate(CONFIG, folder, verify=True)
 

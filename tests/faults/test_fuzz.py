@@ -276,7 +276,7 @@ def small_data(tmp_path_factory):
     folder = tmp_path_factory.mktemp("small") / "data"
     config = configuration.override(preset("smoke"), ["data.count=16", "data.shard_rows=8"])
 
-    def made_up(config, rows, targets):
+    def made_up(config, rows, targets, **_):
         from august_jax.data import Sample
 
         count, n = len(rows), config.array.count

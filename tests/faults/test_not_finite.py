@@ -113,7 +113,7 @@ def test_who_observes_samples_refuses_it(column):
 def folder(tmp_path, monkeypatch):
     """A data set of 9 rows in 3 shards, with NaN in a channel of row 4, and with the sums of what it holds."""
     config = override(SMOKE, ["data.count=9", "data.shard_rows=3", "data.observed=false"])
-    monkeypatch.setattr(data.shards, "generate", lambda config, rows, targets: samples(rows))
+    monkeypatch.setattr(data.shards, "generate", lambda config, rows, targets, **_: samples(rows))
     monkeypatch.setattr(data.shards, "prepare_targets", lambda config, progress: [])
     data.simulate(config, tmp_path)
     shard = tmp_path / "shard-00001"

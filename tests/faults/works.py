@@ -83,7 +83,7 @@ class Simulate(Work):
     """A data set of three shards."""
 
     def run(self, folder, ledger):
-        def made(config, rows, targets):
+        def made(config, rows, targets, **_):
             ledger(f"shard {rows[0]}")
             return samples(rows, config)
 
