@@ -211,7 +211,7 @@ def over_snr(
             axes.plot(numbers[over][at], numbers[metric][at], color=color, ls=style, lw=1.0, label=label)
     if bound is not None:
         limits = {
-            name: tuple(sorted(zip(numbers[over][at], numbers[bound][at])))
+            name: tuple(sorted((x, float(f"{y:.3g}")) for x, y in zip(numbers[over][at], numbers[bound][at])))
             for name in lines
             if (at := (numbers["line"] == name) & np.isfinite(numbers[bound])).any()
         }
