@@ -22,6 +22,7 @@ from jax.sharding import Mesh
 from jaxtyping import Int
 
 from august_jax import streams
+from august_jax.arrays import rows_not_finite
 from august_jax.config import Config
 from august_jax.data.fields import Observed, Sample, pack
 from august_jax.data.observe import draw_level, draw_prediction
@@ -64,6 +65,7 @@ def generate(
 
     Raises:
         ValueError: targets whose tables do not hold all that this configuration's craft may be.
+        FloatingPointError: a channel or an observation is not finite; names the row and the craft.
     """
     for target in targets:
         if target.table is not None:
@@ -105,6 +107,13 @@ def generate(
             for name, value in results.items():
                 store = drawn.setdefault(name, np.empty((len(rows), *value.shape[1:]), value.dtype))
                 store[batch] = np.asarray(value)[: len(batch)]
+    for name, value in drawn.items():
+        if len(wrong := rows_not_finite(value)):
+            kinds_here = ", ".join(sorted({targets[kind].airframe.name for kind in craft[wrong]}))
+            raise FloatingPointError(
+                f"rows: {name} of {len(wrong)} of {len(rows)} samples holds NaN or infinity, the first is row "
+                f"{rows[wrong[0]]} (craft: {kinds_here}); take another data.solver or other craft"
+            )
     counted = {"airframe": craft, "flight": rows // slots, "slot": slot}
     return Sample.of_columns(known | {name: value.astype(np.int32) for name, value in counted.items()} | drawn)
 

@@ -82,8 +82,9 @@ def gate(degrees: int) -> float:
 
 
 def silent(statistics: Statistics) -> Bool[jax.Array, ""]:
-    """Whether noise alone would leave as much in more than LEVEL of slots ()."""
-    return 2.0 * jnp.sum(jnp.abs(statistics.received) ** 2) < gate(2 * statistics.received.size)
+    """Whether noise alone would leave as much in more than LEVEL of slots (); what is no number was not heard."""
+    heard = 2.0 * jnp.sum(jnp.abs(statistics.received) ** 2) >= gate(2 * statistics.received.size)
+    return ~heard
 
 
 def from_elsewhere(seen: Observation | RegionObservation, predicted: Float[Array, "3"], config: Config) -> jax.Array:

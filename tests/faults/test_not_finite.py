@@ -1,6 +1,8 @@
 """A measurement that is not finite: refused at every door, by the argument and the first row, before anything is made
 of it. Training has its own tests (tests/test_training.py), the search too (tests/test_inference_refusals.py)."""
 
+import importlib
+
 import jax
 import numpy as np
 import pytest
@@ -11,7 +13,10 @@ from august_jax.config import override, preset
 from august_jax.data.shards import ROW_SUMS, row_sums
 from august_jax.files import read_json, sha256_of, write_json
 from august_jax.models import create, reconstruct
-from august_jax.signal import Coefficients, estimate_channel, observe, observe_region
+from august_jax.physics import PlanarArray
+from august_jax.schemes.polar import locate
+from august_jax.signal import Coefficients, Statistics, estimate_channel, observe, observe_region
+from august_jax.tracking.loss import silent
 
 SMOKE = preset("smoke")
 COUNT = SMOKE.array.count
@@ -107,6 +112,39 @@ def test_who_observes_samples_refuses_it(column):
     bad = good._replace(**{column: spoiled(getattr(good, column), 3, 0)})
     with pytest.raises(ValueError, match=f"samples: {column} holds NaN or infinity in 1 of 5 samples, the first is 3"):
         data.observed_anew(jax.random.key(0), bad, SMOKE)
+
+
+def test_who_makes_samples_refuses_it_before_it_is_written(monkeypatch):
+    module = importlib.import_module("august_jax.data.generate")
+    config = override(SMOKE, ["data.solver=born", "target.points=20", "data.observed=false"])
+    made = module._compiled
+
+    def spoiling(keys, *rest):
+        results = dict(made(keys, *rest))
+        return results | {"true_channel": spoiled(results["true_channel"], 2)}
+
+    monkeypatch.setattr(module, "_compiled", spoiling)
+    words = "true_channel of 1 of 3 samples holds NaN or infinity, the first is row 2 "
+    with pytest.raises(FloatingPointError, match=words):
+        data.generate(config, [0, 1, 2], data.prepare_targets(config))  # of one flight, so of one craft
+
+
+def test_a_point_is_not_looked_for_in_it():
+    array, tones = PlanarArray(4, 2, 3e9), (3e9,)
+    good = np.full((1, 8, 8), 1e-6, np.complex64)
+    for channel, predicted, name in (
+        (spoiled(good, 0, 1), PREDICTED, "channel"),
+        (good, PREDICTED * np.nan, "predicted"),
+    ):
+        with pytest.raises(ValueError, match=f"{name}: holds NaN or infinity; leave that slot out"):
+            locate(channel, predicted, array, tones, reach_m=0.5)
+
+
+def test_an_echo_that_is_no_number_was_not_heard():
+    """So that a track is begun anew, where one that kept it would hold it for good."""
+    none = np.zeros((1, 7, 7), np.complex64)
+    for received, heard in ((none, False), (none + 100.0, True), (spoiled(none + 100.0, 0, 3, 3), False)):
+        assert bool(silent(Statistics(received, none, PREDICTED))) != heard
 
 
 @pytest.fixture
