@@ -59,7 +59,8 @@ def look(campaign: Campaign, run: Run, rows: Sequence[int], snr_db: float, insta
         )  # fmt: skip
     else:
         cloud = networks.reconstruct(key, batch.heard, batch.predicted, batch.snr_db, config)
-    world = from_cloud(cloud, jnp.asarray(batch.predicted), config.region)
+    predicted = jnp.broadcast_to(jnp.asarray(batch.predicted), (*cloud.shape[:-2], 3))  # that of all instants
+    world = from_cloud(cloud, predicted, config.region)
     place = np.asarray(samples.position)[:, None]
     count = samples.points.shape[1]
     truth = (
