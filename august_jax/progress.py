@@ -1,4 +1,5 @@
-"""Lines of progress: who works long takes a callback, who calls says where the lines go; and the time that is left."""
+"""Lines of progress: who works long takes a callback, who calls says where the lines go; and what they tell of time
+and room."""
 
 from __future__ import annotations
 
@@ -11,6 +12,11 @@ Progress = Callable[[str], None]
 
 def silent(line: str) -> None:
     """Say nothing."""
+
+
+def told_bytes(count: int) -> str:
+    """Bytes as a person reads them."""
+    return f"{count / 1e9:.1f} GB" if count >= 1e8 else f"{count / 1e6:.1f} MB"
 
 
 class TimeLeft:

@@ -45,7 +45,7 @@ from august_jax.files import (
     write_json,
     write_text,
 )
-from august_jax.progress import Progress, silent
+from august_jax.progress import Progress, silent, told_bytes
 from august_jax.scene.airframes import mesh_path
 
 ROW_SUMS = "row_sums.npy"
@@ -191,17 +191,12 @@ def _check_room(folder: Path, config: Config, rows: int, progress: Progress) -> 
     wanted = bytes_of(config, rows)
     place = next(path for path in (folder, *folder.absolute().parents) if path.exists())
     free = shutil.disk_usage(place).free
-    progress(f"{rows} samples take {_size(wanted)} in {folder}; {_size(free)} are free there")
+    progress(f"{rows} samples take {told_bytes(wanted)} in {folder}; {told_bytes(free)} are free there")
     if wanted > free:
         raise DataError(
-            f"data.count: {rows} samples take {_size(wanted)}, but {place} has {_size(free)} free; make "
+            f"data.count: {rows} samples take {told_bytes(wanted)}, but {place} has {told_bytes(free)} free; make "
             "room, choose another folder or fewer samples"
         )
-
-
-def _size(count: int) -> str:
-    """Bytes as a person reads them."""
-    return f"{count / 1e9:.1f} GB" if count >= 1e8 else f"{count / 1e6:.1f} MB"
 
 
 def identity(config: Config) -> str:

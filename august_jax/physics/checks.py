@@ -82,9 +82,10 @@ def check_frequency(name: str, hertz: object) -> float:
 
 
 def check_finite(name: str, value: object, way_out: str) -> None:
-    """Raise ValueError where concrete numbers are NaN or infinite."""
-    if is_concrete(value) and not np.all(np.isfinite(value)):
-        raise ValueError(f"{name}: holds NaN or infinity; {way_out}")
+    """Raise ValueError where concrete numbers, or those of a tree, are NaN or infinite."""
+    for leaf in jax.tree.leaves(value):
+        if is_concrete(leaf) and not np.all(np.isfinite(leaf)):
+            raise ValueError(f"{name}: holds NaN or infinity; {way_out}")
 
 
 def check_rotation(rotation: object) -> None:

@@ -35,8 +35,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Complex, Float
 
-from august_jax.arrays import Array, ArrayLike, rows_not_finite
+from august_jax.arrays import Array, ArrayLike
 from august_jax.physics.array import AntennaArray, PlanarArray, wavenumber
+from august_jax.physics.checks import check_finite
 from august_jax.physics.green import path_difference
 from august_jax.schemes.answer import Answer, Ask, Scheme, Setting, Slots
 from august_jax.signal.roi import Coefficients, Subspace, project
@@ -196,8 +197,7 @@ def locate(
     if not reach_m > 0.0:
         raise ValueError(f"reach_m: got {reach_m:g} m, which leaves nothing to look at; give s, above 0")
     for name, value in (("channel", channel), ("predicted", predicted)):
-        if len(rows_not_finite(value)):
-            raise ValueError(f"{name}: holds NaN or infinity; leave that slot out")
+        check_finite(name, value, "leave that slot out")
     middle = np.asarray(array.positions).mean(axis=0)
     if nearest_m is None:
         nearest_m = float(np.linalg.norm(np.asarray(predicted) - middle))

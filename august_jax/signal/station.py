@@ -363,5 +363,4 @@ def _check(
     if (snr_db is None) == (power_dbm is None):
         raise ValueError("snr_db, power_dbm: give exactly one of the two, the SNR in dB or the transmit power in dBm")
     for name, value in (("channel", channel), ("predicted", predicted), ("snr_db", snr_db), ("power_dbm", power_dbm)):
-        for leaf in jax.tree.leaves(value):
-            check_finite(name, leaf, "leave that slot out")
+        check_finite(name, value, "leave that slot out")

@@ -17,6 +17,7 @@ from jax.sharding import Mesh
 from august_jax import memory
 from august_jax.arrays import Array
 from august_jax.config import TrainConfig
+from august_jax.progress import told_bytes
 from august_jax.training.step import Loss, TrainState, compiled_step
 
 Step = Callable[[TrainState, Any], tuple[TrainState, dict[str, Array]]]
@@ -40,7 +41,8 @@ def fitted_step(loss: Loss, train: TrainConfig, state: TrainState, batch: Any, m
     assert needed is not None and available is not None
     advised = largest_batch(loss, train, state, batch, mesh, needed, available)
     raise ValueError(
-        f"train.batch: {train.batch} samples ask for {_size(needed)} of memory on each device, and {_size(available)} "
+        f"train.batch: {train.batch} samples ask for {told_bytes(needed)} of memory on each device, and "
+        f"{told_bytes(available)} "
         + (
             f"are free; set train.batch={advised}"
             if advised
@@ -108,8 +110,3 @@ def _of_rows(batch: Any, rows: int) -> Any:
         return jax.ShapeDtypeStruct((rows, *np.shape(array)[1:]), array.dtype, sharding=lies)
 
     return jax.tree.map(leaf, batch)
-
-
-def _size(count: int) -> str:
-    """Bytes as a person reads them."""
-    return f"{count / 1e9:.1f} GB" if count >= 1e8 else f"{count / 1e6:.1f} MB"

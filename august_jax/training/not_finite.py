@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from august_jax.arrays import ArrayLike
+from august_jax.arrays import ArrayLike, rows_not_finite
 from august_jax.files import replacing
 from august_jax.models.weights import flatten
 
@@ -41,8 +41,7 @@ def keep_batch(path: Path, batch: Any) -> list[str]:
         np.savez(aside, **fields)  # type: ignore[arg-type]
     told = []
     for name in not_finite(fields):
-        wrong = ~np.isfinite(fields[name])
-        rows = np.flatnonzero(wrong.reshape(len(wrong), -1).any(axis=1)) if wrong.ndim else np.zeros(1, int)
+        wrong, rows = ~np.isfinite(fields[name]), rows_not_finite(fields[name])
         told.append(f"{name} {wrong.sum()} in {len(rows)} of {len(np.atleast_1d(wrong))} rows, first in row {rows[0]}")
     return told
 

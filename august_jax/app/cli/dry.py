@@ -8,6 +8,7 @@ from typing import Any
 
 from august_jax.app.cli.clock import told_s
 from august_jax.app.cli.messages import command_line, say, table
+from august_jax.progress import told_bytes
 
 
 def dry_run_argument(parser: argparse.ArgumentParser) -> None:
@@ -50,9 +51,7 @@ def short_of(plan: Mapping[str, Any]) -> str | None:
 
 def size(count: int | None) -> str:
     """Bytes as a person reads them."""
-    if count is None:
-        return "not known"
-    return f"{count / 1e9:.1f} GB" if count >= 1e8 else f"{count / 1e6:.1f} MB"
+    return "not known" if count is None else told_bytes(count)
 
 
 def about(seconds: float | None) -> str:
