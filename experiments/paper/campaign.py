@@ -130,7 +130,7 @@ SCALES = {
         2.0,
         100,
         20,
-        samples_s=20_000.0,
+        samples_s=260.0,
     ),
 }
 """Preset -> how large its figures are."""
