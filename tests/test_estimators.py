@@ -229,6 +229,42 @@ def test_every_estimator_is_exact_without_noise(name):
     assert made.rank == 8
 
 
+@pytest.mark.parametrize("mirror", [False, True])
+@pytest.mark.parametrize("shape", [(16, 4), (5, 3), (6, 1), (1, 1)])
+def test_least_squares_over_beams_is_least_squares(shape, mirror):
+    """The real eigenproblem against the singular value decomposition, all over the sphere, in power and in rank."""
+    count = shape[0] * shape[1]
+    rng = np.random.default_rng(1)
+    run = jax.jit(estimators.least_squares_beams)
+    for azimuth, elevation, width in rng.uniform([0.1, -1.2, 2.0], [3.0, 1.2, 120.0], (12, 3)):
+        widths = (np.deg2rad(width), 0.7 * np.deg2rad(width))
+        codebook = beams.roi_codebook(*shape, (azimuth, elevation), widths, mirror=mirror)
+        symbols = beams.pilot_symbols(jax.random.key(int(1e6 * azimuth)), count, count + 3)
+        sent = beams.pilots(codebook, symbols, 3e12)
+        received = jnp.asarray(rng.normal(size=sent.shape) + 1j * rng.normal(size=sent.shape), jnp.complex64)
+        values = np.linalg.svd(np.asarray(sent, np.complex128), compute_uv=False) / np.linalg.norm(sent, 2)
+        if np.abs(values - 0.1).min() < 1e-4:
+            continue  # on the edge of the cut rounding decides
+        slow = estimators.least_squares(received, sent)
+        made = run(received, sent)
+        assert made.rank == slow.rank == np.sum(values > 0.1)
+        assert np.linalg.norm(made.channel - slow.channel) < 3e-5 * np.linalg.norm(slow.channel)
+
+
+@pytest.mark.parametrize("pilots", ["unitary", "gaussian"])
+def test_the_station_s_least_squares_is_that_of_what_it_sent(pilots, monkeypatch):
+    """Gaussian symbols have no persymmetric Gram matrix: the station must not take the short way for them."""
+    channels, predictions = scenes("paper")
+    signal = SignalConfig(estimator="ls", pilots=pilots)
+    options = {"array": ARRAY, "signal": signal, "region": REGION, "snr_db": 20.0}
+    quick = station.observe(jax.random.key(3), channels[0], predictions[0], **options)
+    monkeypatch.setitem(ESTIMATORS, "ls", replace(ESTIMATORS["ls"], run_beams=None))
+    slow = station.observe(jax.random.key(3), channels[0], predictions[0], **options)
+    assert (quick.rank == slow.rank).all()
+    error = np.linalg.norm(quick.estimated_channel - slow.estimated_channel)
+    assert error < 1e-4 * np.linalg.norm(slow.estimated_channel)
+
+
 @pytest.mark.parametrize("name", list(ESTIMATORS))
 def test_every_estimate_is_symmetric(name):
     channel, sent, region, noise = law_setting()

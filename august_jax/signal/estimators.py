@@ -5,7 +5,10 @@ reciprocal channel is symmetric. The estimators, by name:
 
 * ``ls``: the paper prints Y X^H (X X^H)^{-1}. The codebook of a sector is numerically singular (condition number 1e13
   and more), so the inverse is taken on the singular values of X above a tenth of the largest; how many those are is
-  returned as the rank.
+  returned as the rank. Unitary symbols over plane-wave beams need no singular value decomposition for it: their
+  G = X X^H is Hermitian and, on an array that is its own mirror image through its centre, persymmetric, J G J =
+  conj(G) with J the reversal of the elements. Then T = (I + jJ)/sqrt(2) makes T^H G T = Re G - Im G J real and
+  symmetric, and its eigenvalues are the squares of the singular values.
 * ``ridge``: Y X^H (X X^H + r I)^{-1}. With the pilots' mean gain on the illuminated directions,
   g = tr((X X^H)^2)/tr(X X^H), and the echo's energy E = ||Y||^2 - ||N||^2, the error is about
   E r^2/g^3 + 2 sigma^2 N_b/r (bias plus noise, for a spectrum that falls by a factor e every two modes); its minimum is
@@ -92,11 +95,15 @@ class Estimator:
             of the noise's amplitude, with sigma^2 = 1; any other unit must do as well.
         needs: which of ``noise_w`` and ``region`` must be given.
         uniform_pilots: it wants unitary pilots that light all directions alike, not the region's beams.
+        run_beams: what ``run`` comes to, sooner, for pilots X = W S of unitary symbols (S S^H = L I) over the
+            plane-wave beams of :func:`~august_jax.signal.beams.roi_codebook`, and wrong for others; None where
+            nothing is saved.
     """
 
     run: Callable[[Received, Pilots, Any, Any], ChannelEstimate]
     needs: tuple[str, ...] = ()
     uniform_pilots: bool = False
+    run_beams: Callable[[Received, Pilots, Any, Any], ChannelEstimate] | None = None
 
 
 def estimate_channel(
@@ -144,6 +151,27 @@ def least_squares(
     kept = values > rcond * values[0]
     inverse = jnp.where(kept, 1.0 / jnp.where(kept, values, 1.0), 0.0)
     channel = ((received @ right.conj().T) * inverse) @ left.conj().T
+    return ChannelEstimate(_symmetrise(channel), jnp.sum(kept, dtype=jnp.int32))
+
+
+def least_squares_beams(
+    received: Received,
+    pilots: Pilots,
+    noise_w: ArrayLike | None = None,
+    region: Region | None = None,
+    *,
+    rcond: float = 0.1,
+) -> ChannelEstimate:
+    """:func:`least_squares` for unitary symbols over plane-wave beams alone, by the module docstring's real form.
+
+    The squares of the singular values are good to float32 of the largest: ``rcond`` below some 1e-3 is beyond them.
+    """
+    gram = pilots @ pilots.conj().T
+    values, real = jnp.linalg.eigh(gram.real - gram.imag[:, ::-1])
+    directions = np.sqrt(0.5) * jax.lax.complex(real, real[::-1])
+    kept = values > rcond**2 * values[-1]
+    inverse = jnp.where(kept, 1.0 / jnp.where(kept, values, 1.0), 0.0)
+    channel = ((received @ pilots.conj().T @ directions) * inverse) @ directions.conj().T
     return ChannelEstimate(_symmetrise(channel), jnp.sum(kept, dtype=jnp.int32))
 
 
@@ -228,7 +256,7 @@ def _symmetrise(channel: jax.Array) -> jax.Array:
 
 
 ESTIMATORS: dict[str, Estimator] = {
-    "ls": Estimator(least_squares),
+    "ls": Estimator(least_squares, run_beams=least_squares_beams),
     "ridge": Estimator(ridge, needs=("noise_w",)),
     "dft": Estimator(orthogonal_least_squares, uniform_pilots=True),
     "lmmse_roi": Estimator(lmmse_roi, needs=("noise_w", "region")),

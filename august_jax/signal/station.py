@@ -21,7 +21,7 @@ from august_jax.config import ArrayConfig, Config, RegionConfig, SignalConfig
 from august_jax.physics.array import PlanarArray
 from august_jax.physics.checks import check_finite
 from august_jax.signal import beams, roi
-from august_jax.signal.estimators import ESTIMATORS, Region, estimate_channel, roi_coefficients
+from august_jax.signal.estimators import ESTIMATORS, Region, roi_coefficients
 from august_jax.signal.noise import energy, snr_above_noise, white_noise
 from august_jax.signal.roi import Coefficients, Subspace
 
@@ -154,7 +154,8 @@ def observe(
         power_w = _power_for(snr_db, jnp.sum(energy(channel @ sent)), noise_w, channel.shape[0] * array.count * symbols)
     else:
         power_w = beams.dbm_to_watt(power_dbm)
-    if ESTIMATORS[signal.estimator].uniform_pilots:
+    estimator = ESTIMATORS[signal.estimator]
+    if estimator.uniform_pilots:
         sent = beams.pilots(
             jnp.eye(array.count, dtype=sent.dtype),
             beams.pilot_symbols(key_unitary, array.count, symbols),
@@ -166,10 +167,11 @@ def observe(
     noise = white_noise(key_noise, clean.shape)
     received = clean + noise
     subspace = Subspace.from_config(array)
+    run = estimator.run_beams if estimator.run_beams and signal.pilots == "unitary" else estimator.run
 
     def estimated(each: jax.Array, k: jax.Array):
         box = Region(predicted, region.scale_m, subspace.positions, k, subspace.basis)
-        return estimate_channel(signal.estimator, each, sent, noise_w=1.0, region=box)
+        return run(each, sent, 1.0, box)
 
     estimates = jax.vmap(estimated)(received, subspace.wavenumbers)
     snr = jnp.sum(energy(clean)) / jnp.sum(energy(noise))
