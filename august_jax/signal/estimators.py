@@ -167,11 +167,12 @@ def least_squares_beams(
     The squares of the singular values are good to float32 of the largest: ``rcond`` below some 1e-3 is beyond them.
     """
     gram = pilots @ pilots.conj().T
-    values, real = jnp.linalg.eigh(gram.real - gram.imag[:, ::-1])
-    directions = np.sqrt(0.5) * jax.lax.complex(real, real[::-1])
+    values, vectors = jnp.linalg.eigh(gram.real - gram.imag[:, ::-1])
     kept = values > rcond**2 * values[-1]
-    inverse = jnp.where(kept, 1.0 / jnp.where(kept, values, 1.0), 0.0)
-    channel = ((received @ pilots.conj().T @ directions) * inverse) @ directions.conj().T
+    turned = (vectors * jnp.where(kept, 1.0 / jnp.where(kept, values, 1.0), 0.0)) @ vectors.T
+    # G^+ = T P T^H of the inverse P in the real form.
+    inverse = jax.lax.complex(0.5 * (turned + turned[::-1, ::-1]), 0.5 * (turned[::-1] - turned[:, ::-1]))
+    channel = received @ pilots.conj().T @ inverse
     return ChannelEstimate(_symmetrise(channel), jnp.sum(kept, dtype=jnp.int32))
 
 
