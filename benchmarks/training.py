@@ -14,6 +14,9 @@ memory. The first run factors and tabulates the bodies: minutes, told apart as `
 (`torch_august.py`). Beside the ratio stand how far their losses and gradients lie apart on the same draws, and the
 share of the machine's matrix-product rate: multiplications and additions of the layers, three passes a step. PyTorch is
 no dependency: `pip install torch` adds this part, without it it is left out.
+
+``observe`` times what a stream's batch takes at the station, by estimator, and least squares over the beams beside
+the singular value decomposition of the pilots that it stands for, with how far the two lie apart.
 """
 
 from __future__ import annotations
@@ -36,11 +39,12 @@ from august_jax.config import Config, override, preset
 from august_jax.data import Dataset, StreamedBatches, TrainingBatches, prepare_targets, simulate
 from august_jax.data.fields import Batch
 from august_jax.models import August
+from august_jax.signal import ESTIMATORS, observe_for
 from august_jax.training import train
 from august_jax.training.step import ParameterLayout, compiled_step, laid_out
 
 PEER = importlib.util.find_spec("torch") is not None
-PARTS = ("stream", "torch")
+PARTS = ("observe", "stream", "torch")
 
 
 def speed(config, batches, steps: int) -> list[float]:
@@ -82,6 +86,37 @@ def stream_against_stored(config: Config, steps: int, repeats: int) -> Figures:
     figures["stream_over_stored"] = figures["stream"]["samples_per_s"] / figures["stored"]["samples_per_s"]
     print(f"stream / stored: {figures['stream_over_stored']:.2f}; preparing {figures['preparing_s']:.0f} s")
     return figures
+
+
+def observing(config: Config, repeats: int) -> Figures:
+    """Seconds that the station takes over a batch, by estimator; ``svd`` is ``ls`` the long way."""
+    batch = jax.device_put(made_up(config))
+    keys = jax.random.split(jax.random.key(config.train.seed), config.train.batch)
+
+    def observed(name: str):
+        changed = override(config, ["model.encoder=paper", f"signal.estimator={'ls' if name == 'svd' else name}"])
+
+        def one(key, channel, predicted):
+            return observe_for(changed, key, channel, predicted, snr_db=20.0).heard
+
+        return jax.jit(jax.vmap(one))
+
+    runs = {name: observed(name) for name in (*ESTIMATORS, "svd")}
+    quick = ESTIMATORS["ls"]
+    heard = {}
+    for name, run in runs.items():  # compiled here, while the registry says which way
+        ESTIMATORS["ls"] = replace(quick, run_beams=None) if name == "svd" else quick
+        heard[name] = np.asarray(run(keys, batch.estimated_channel, batch.predicted))
+    ESTIMATORS["ls"] = quick
+    calls = {name: (lambda run=run: run(keys, batch.estimated_channel, batch.predicted)) for name, run in runs.items()}
+    taken = medians(calls, repeats)
+    apart = [float(np.linalg.norm(a - b) / np.linalg.norm(b)) for a, b in zip(heard["ls"], heard["svd"], strict=True)]
+    for name, value in taken.items():
+        print(
+            f"{name}: {1e3 * value:.1f} ms a batch of {config.train.batch}, {config.train.batch / value:.0f} samples/s"
+        )
+    print(f"svd / ls: {taken['svd'] / taken['ls']:.1f}; apart by {np.median(apart):.1e} (at most {max(apart):.1e})")
+    return {"batch_s": taken, "svd_over_ls": taken["svd"] / taken["ls"], "apart": apart}
 
 
 def made_up(config: Config) -> Batch:
@@ -175,6 +210,9 @@ def main() -> None:
         write(args, figures)
     elif "torch" in args.parts:
         print("PyTorch is not installed: its part is left out; pip install torch adds it")
+    if "observe" in args.parts:
+        figures["observe"] = observing(config, 3 * args.repeats)
+        write(args, figures)
     if "stream" in args.parts:
         figures |= stream_against_stored(config, args.steps, args.repeats)
     write(args, figures)

@@ -7,6 +7,8 @@ import json
 import pytest
 import scripts
 
+from august_jax.signal import ESTIMATORS
+
 BENCHMARKS = scripts.defining("benchmarks", "main")
 SMALL = ("--cells", "150", "--distance", "5", "--batch", "4", "--repeats", "1")
 MACHINE = {"processor", "cores", "device", "jax", "python", "gflop_s"}
@@ -79,6 +81,16 @@ def test_training_times_a_stream_against_a_data_set(tmp_path, monkeypatch):
     rates = [written[name]["samples_per_s"] for name in ("stream", "stored")]
     assert min(rates) > 0.0 and written["stream_over_stored"] == pytest.approx(rates[0] / rates[1])
     assert min(written["batch_s"].values()) > 0.0
+
+
+@pytest.mark.slow
+def test_training_times_the_station_by_estimator_and_least_squares_both_ways(tmp_path, monkeypatch):
+    before = dict(ESTIMATORS)
+    arguments = ("--parts", "observe", "--preset", "smoke", "--repeats", "1")
+    written = figures("training", *arguments, folder=tmp_path, monkeypatch=monkeypatch)["observe"]
+    assert set(written["batch_s"]) == {*ESTIMATORS, "svd"} and min(written["batch_s"].values()) > 0.0
+    assert 0.0 < max(written["apart"]) < 1e-4  # two ways, one answer
+    assert before == ESTIMATORS
 
 
 @pytest.mark.slow
