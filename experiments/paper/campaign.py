@@ -91,8 +91,8 @@ class Scale:
     tones: tuple[int, ...] = (1, 2, 4, 8)
 
     def rehearsal(self) -> Scale:
-        """A twentieth of all that takes long."""
-        names = ("steps", "count", "searched", "flights", "tracked")
+        """A twentieth of all that takes long: of a training the steps and, in each, the points of a cloud."""
+        names = ("steps", "points", "count", "searched", "flights", "tracked")
         return replace(self, **{name: max(getattr(self, name) // 20, 1) for name in names})
 
 
