@@ -70,6 +70,7 @@ def test_a_rehearsal_is_a_twentieth_in_folders_of_its_own(reproduce, capsys):
     assert whole.folder(run) != part.folder(run) and whole.picture("x") != part.picture("x")
     assert part.config(run).model == whole.config(run).model
     assert [each.config(run).train.points for each in (whole, part)] == [100, 5]
+    assert part.config(run).train.save_every == part.scale.steps // 2
     assert part.scale.flights == SCALES["paper"].flights // 20 and part.scale.searched == 1
 
 

@@ -271,9 +271,9 @@ class Campaign:
     ):
         self.base = preset(preset_name)
         self.preset, self.scale, self.progress = preset_name, SCALES[preset_name], progress
-        folder = preset_name
-        if rehearse:
-            self.scale, folder = self.scale.rehearsal(), f"{preset_name}-rehearsal"
+        folder, self._saves = preset_name, 10
+        if rehearse:  # validation draws whole clouds of what it saves: twice is as good a rehearsal as ten times
+            self.scale, folder, self._saves = self.scale.rehearsal(), f"{preset_name}-rehearsal", 2
         self._runs, self._results, self._deadline = runs / folder, results / folder, deadline
 
     def config(self, run: Run) -> Config:
@@ -282,7 +282,7 @@ class Campaign:
         sized = (
             f"train.steps={scale.steps}",
             f"train.points={scale.points}",
-            f"train.save_every={min(self.base.train.save_every, max(scale.steps // 10, 1))}",
+            f"train.save_every={min(self.base.train.save_every, max(scale.steps // self._saves, 1))}",
             f"evaluate.count={scale.count}",
             "evaluate.searched=0",
             f"evaluate.snr_db=[{','.join(f'{snr:g}' for snr in scale.snr_db)}]",

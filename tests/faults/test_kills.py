@@ -39,11 +39,15 @@ def test_the_harness_finds_a_writer_that_is_not_atomic():
     assert len(faults(found)) > 0.5 * len(found), found
 
 
+MOST = {"train": 120, "reproduce": 120}
+"""Points that are drawn, with a seed, of 461 and 988: a kill takes seconds there. Elsewhere all are taken."""
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("work", ["simulate", "train", "track", "reproduce", "cache"])
 @pytest.mark.parametrize("power", [False, True], ids=["kill", "power cut"])
-def test_a_kill_at_every_write(work, power):
-    found = kills(work, *["--power"] * power)
+def test_a_kill_at_any_write(work, power):
+    found = kills(work, *["--power"] * power, *(["--most", str(MOST[work])] if work in MOST else []))
     assert not faults(found)
     assert sum(each["killed"] for each in found) > 0.95 * len(found)
 
