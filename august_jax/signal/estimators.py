@@ -166,6 +166,7 @@ def least_squares_beams(
 
     The squares of the singular values are good to float32 of the largest: ``rcond`` below some 1e-3 is beyond them.
     """
+    # Accelerators solve eigenproblems of 64 antennas in batches, singular value decompositions one by one.
     gram = pilots @ pilots.conj().T
     values, vectors = jnp.linalg.eigh(gram.real - gram.imag[:, ::-1])
     kept = values > rcond**2 * values[-1]
