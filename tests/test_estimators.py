@@ -229,13 +229,21 @@ def test_every_estimator_is_exact_without_noise(name):
     assert made.rank == 8
 
 
+def by_singular_values(received, pilots):
+    """Least squares as it is written: Y X^+ on the singular values of X above a tenth of the largest."""
+    left, values, right = np.linalg.svd(np.asarray(pilots, complex), full_matrices=False)
+    kept = values > 0.1 * values[0]
+    channel = (np.asarray(received) @ right[kept].conj().T / values[kept]) @ left[:, kept].conj().T
+    return 0.5 * (channel + channel.T), kept.sum()
+
+
 @pytest.mark.parametrize("mirror", [False, True])
 @pytest.mark.parametrize("shape", [(16, 4), (5, 3), (6, 1), (1, 1)])
-def test_least_squares_over_beams_is_least_squares(shape, mirror):
-    """The real eigenproblem against the singular value decomposition, all over the sphere, in power and in rank."""
+def test_least_squares_is_that_of_the_singular_values(shape, mirror):
+    """Both eigenproblems against the singular value decomposition, all over the sphere, in estimate and in rank."""
     count = shape[0] * shape[1]
     rng = np.random.default_rng(1)
-    run = jax.jit(estimators.least_squares_beams)
+    runs = [jax.jit(run) for run in (estimators.least_squares, estimators.least_squares_beams)]
     for azimuth, elevation, width in rng.uniform([0.1, -1.2, 2.0], [3.0, 1.2, 120.0], (12, 3)):
         widths = (np.deg2rad(width), 0.7 * np.deg2rad(width))
         codebook = beams.roi_codebook(*shape, (azimuth, elevation), widths, mirror=mirror)
@@ -245,10 +253,32 @@ def test_least_squares_over_beams_is_least_squares(shape, mirror):
         values = np.linalg.svd(np.asarray(sent, np.complex128), compute_uv=False) / np.linalg.norm(sent, 2)
         if np.abs(values - 0.1).min() < 1e-4:
             continue  # on the edge of the cut rounding decides
-        slow = estimators.least_squares(received, sent)
-        made = run(received, sent)
-        assert made.rank == slow.rank == np.sum(values > 0.1)
-        assert np.linalg.norm(made.channel - slow.channel) < 3e-5 * np.linalg.norm(slow.channel)
+        slow, rank = by_singular_values(received, sent)
+        for made in (run(received, sent) for run in runs):
+            assert made.rank == rank
+            assert np.linalg.norm(made.channel - slow) < 1e-4 * np.linalg.norm(slow)
+
+
+@pytest.mark.parametrize("pilots", ["unitary", "gaussian"])
+def test_least_squares_has_a_gradient_where_eigenvalues_meet(pilots):
+    """In the echo's gain, which sets the power, and in the place that the beams point to: against differences."""
+    channels, predictions = scenes("paper")
+    signal = SignalConfig(estimator="ls", pilots=pilots)
+
+    @jax.jit
+    def told(gain, place):
+        seen = station.observe(
+            jax.random.key(3), gain * channels[0], place, array=ARRAY, signal=signal, region=REGION, snr_db=10.0
+        )
+        return jnp.sum(jnp.abs(1e7 * seen.estimated_channel) ** 2)
+
+    by_gain, by_place = jax.grad(told, (0, 1))(1.0, predictions[0])
+    step, along = 1e-2, jnp.array([0.3, -0.2, 0.9])
+    np.testing.assert_allclose(
+        by_gain, (told(1.0 + step, predictions[0]) - told(1.0 - step, predictions[0])) / (2 * step), rtol=1e-2
+    )
+    moved = (told(1.0, predictions[0] + step * along) - told(1.0, predictions[0] - step * along)) / (2 * step)
+    np.testing.assert_allclose(by_place @ along, moved, rtol=3e-2)
 
 
 @pytest.mark.parametrize("pilots", ["unitary", "gaussian"])

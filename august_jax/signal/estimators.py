@@ -5,10 +5,9 @@ reciprocal channel is symmetric. The estimators, by name:
 
 * ``ls``: the paper prints Y X^H (X X^H)^{-1}. The codebook of a sector is numerically singular (condition number 1e13
   and more), so the inverse is taken on the singular values of X above a tenth of the largest; how many those are is
-  returned as the rank. Unitary symbols over plane-wave beams need no singular value decomposition for it: their
-  G = X X^H is Hermitian and, on an array that is its own mirror image through its centre, persymmetric, J G J =
-  conj(G) with J the reversal of the elements. Then T = (I + jJ)/sqrt(2) makes T^H G T = Re G - Im G J real and
-  symmetric, and its eigenvalues are the squares of the singular values.
+  returned as the rank. They are the roots of the eigenvalues of G = X X^H. Of unitary symbols over plane-wave beams it
+  is, on an array that is its own mirror image through its centre, persymmetric, J G J = conj(G) with J the reversal of
+  the elements; then T = (I + jJ)/sqrt(2) makes T^H G T = Re G - Im G J real and symmetric.
 * ``ridge``: Y X^H (X X^H + r I)^{-1}. With the pilots' mean gain on the illuminated directions,
   g = tr((X X^H)^2)/tr(X X^H), and the echo's energy E = ||Y||^2 - ||N||^2, the error is about
   E r^2/g^3 + 2 sigma^2 N_b/r (bias plus noise, for a spectrum that falls by a factor e every two modes); its minimum is
@@ -33,12 +32,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Complex, Float, Int
+from jaxtyping import Complex, Float, Inexact, Int
 
 from august_jax.arrays import Array, ArrayLike
 from august_jax.physics.checks import check_finite
@@ -146,12 +146,12 @@ def least_squares(
     *,
     rcond: float = 0.1,
 ) -> ChannelEstimate:
-    """Y X^+ on the singular values of X above ``rcond`` times the largest, symmetrised."""
-    left, values, right = jnp.linalg.svd(pilots, full_matrices=False)
-    kept = values > rcond * values[0]
-    inverse = jnp.where(kept, 1.0 / jnp.where(kept, values, 1.0), 0.0)
-    channel = ((received @ right.conj().T) * inverse) @ left.conj().T
-    return ChannelEstimate(_symmetrise(channel), jnp.sum(kept, dtype=jnp.int32))
+    """Y X^H (X X^H)^+ on the singular values of X above ``rcond`` times the largest, symmetrised.
+
+    Their squares are good to float32 of the largest: ``rcond`` below some 1e-3 is beyond them.
+    """
+    inverse, rank = _inverse_above(pilots @ pilots.conj().T, rcond**2)
+    return ChannelEstimate(_symmetrise(received @ pilots.conj().T @ inverse), rank)
 
 
 def least_squares_beams(
@@ -162,19 +162,45 @@ def least_squares_beams(
     *,
     rcond: float = 0.1,
 ) -> ChannelEstimate:
-    """:func:`least_squares` for unitary symbols over plane-wave beams alone, by the module docstring's real form.
-
-    The squares of the singular values are good to float32 of the largest: ``rcond`` below some 1e-3 is beyond them.
-    """
-    # Accelerators solve eigenproblems of 64 antennas in batches, singular value decompositions one by one.
+    """:func:`least_squares` for unitary symbols over plane-wave beams alone, by the module docstring's real form."""
     gram = pilots @ pilots.conj().T
-    values, vectors = jnp.linalg.eigh(gram.real - gram.imag[:, ::-1])
-    kept = values > rcond**2 * values[-1]
-    turned = (vectors * jnp.where(kept, 1.0 / jnp.where(kept, values, 1.0), 0.0)) @ vectors.T
-    # G^+ = T P T^H of the inverse P in the real form.
-    inverse = jax.lax.complex(0.5 * (turned + turned[::-1, ::-1]), 0.5 * (turned[::-1] - turned[:, ::-1]))
-    channel = received @ pilots.conj().T @ inverse
-    return ChannelEstimate(_symmetrise(channel), jnp.sum(kept, dtype=jnp.int32))
+    real, rank = _inverse_above(gram.real - gram.imag[:, ::-1], rcond**2)
+    # T R T^H of the real form's inverse R
+    inverse = jax.lax.complex(0.5 * (real + real[::-1, ::-1]), 0.5 * (real[::-1] - real[:, ::-1]))
+    return ChannelEstimate(_symmetrise(received @ pilots.conj().T @ inverse), rank)
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(1,))
+def _inverse_above(matrix: Inexact[Array, "n n"], share: float) -> tuple[Inexact[jax.Array, "n n"], Int[jax.Array, ""]]:
+    """Inverse of a Hermitian matrix on its eigenvalues above a share of the largest, and how many those are.
+
+    Accelerators solve eigenproblems of 64 antennas in batches, singular value decompositions one by one.
+    """
+    values, vectors = jnp.linalg.eigh(matrix)
+    inverse = _inverses_above(values, share)
+    return (vectors * inverse) @ vectors.conj().T, jnp.sum(inverse > 0.0, dtype=jnp.int32)
+
+
+@_inverse_above.defjvp
+def _inverse_above_jvp(share: float, primals: tuple, tangents: tuple):
+    """By divided differences of what is done to the eigenvalues, finite where eigenvalues meet, where eigenvectors have
+    no derivative: -1/(a b) between two that are kept, 1/(a (a - b)) between one that is and one that is not."""
+    (matrix,), (tangent,) = primals, tangents
+    values, vectors = jnp.linalg.eigh(matrix)
+    inverse = _inverses_above(values, share)
+    kept = inverse > 0.0
+    apart = kept[:, None] != kept
+    gaps = jnp.where(apart, values[:, None] - values, 1.0)
+    slopes = jnp.where(apart, (inverse[:, None] - inverse) / gaps, -inverse[:, None] * inverse)
+    turned = vectors @ (slopes * (vectors.conj().T @ tangent @ vectors)) @ vectors.conj().T
+    rank = jnp.sum(kept, dtype=jnp.int32)
+    return ((vectors * inverse) @ vectors.conj().T, rank), (turned, np.zeros(rank.shape, jax.dtypes.float0))
+
+
+def _inverses_above(values: Float[Array, " n"], share: float) -> Float[jax.Array, " n"]:
+    """One over each of ascending values, zero up to a share of the last."""
+    kept = values > share * values[-1]
+    return jnp.where(kept, 1.0 / jnp.where(kept, values, 1.0), 0.0)
 
 
 def ridge(received: Received, pilots: Pilots, noise_w: ArrayLike, region: Region | None = None) -> ChannelEstimate:
