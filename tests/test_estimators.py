@@ -243,7 +243,7 @@ def test_least_squares_is_that_of_the_singular_values(shape, mirror):
     """Both eigenproblems against the singular value decomposition, all over the sphere, in estimate and in rank."""
     count = shape[0] * shape[1]
     rng = np.random.default_rng(1)
-    runs = [jax.jit(run) for run in (estimators.least_squares, estimators.least_squares_beams)]
+    runs = [jax.jit(run) for run in (ESTIMATORS["ls"].run, ESTIMATORS["ls"].run_beams)]
     for azimuth, elevation, width in rng.uniform([0.1, -1.2, 2.0], [3.0, 1.2, 120.0], (12, 3)):
         widths = (np.deg2rad(width), 0.7 * np.deg2rad(width))
         codebook = beams.roi_codebook(*shape, (azimuth, elevation), widths, mirror=mirror)

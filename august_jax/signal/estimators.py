@@ -48,6 +48,7 @@ from august_jax.signal.roi import field_basis
 
 NODES_PER_AXIS = 3
 """Quadrature nodes along each edge of the region's box; four and five change the error by less than 1 dB."""
+_KEPT = 0.1  # of the pilots' largest singular value; in float32 their squares do not tell them below some 1e-3
 
 
 class ChannelEstimate(NamedTuple):
@@ -144,29 +145,19 @@ def least_squares(
     noise_w: ArrayLike | None = None,
     region: Region | None = None,
     *,
-    rcond: float = 0.1,
+    beams: bool = False,
 ) -> ChannelEstimate:
-    """Y X^H (X X^H)^+ on the singular values of X above ``rcond`` times the largest, symmetrised.
+    """Y X^H (X X^H)^+ on the singular values of X above a tenth of the largest, symmetrised.
 
-    Their squares are good to float32 of the largest: ``rcond`` below some 1e-3 is beyond them.
+    With ``beams`` by the module docstring's real form, for unitary symbols over plane-wave beams alone.
     """
-    inverse, rank = _inverse_above(pilots @ pilots.conj().T, rcond**2)
-    return ChannelEstimate(_symmetrise(received @ pilots.conj().T @ inverse), rank)
-
-
-def least_squares_beams(
-    received: Received,
-    pilots: Pilots,
-    noise_w: ArrayLike | None = None,
-    region: Region | None = None,
-    *,
-    rcond: float = 0.1,
-) -> ChannelEstimate:
-    """:func:`least_squares` for unitary symbols over plane-wave beams alone, by the module docstring's real form."""
     gram = pilots @ pilots.conj().T
-    real, rank = _inverse_above(gram.real - gram.imag[:, ::-1], rcond**2)
-    # T R T^H of the real form's inverse R
-    inverse = jax.lax.complex(0.5 * (real + real[::-1, ::-1]), 0.5 * (real[::-1] - real[:, ::-1]))
+    if beams:
+        real, rank = _inverse_above(gram.real - gram.imag[:, ::-1], _KEPT**2)
+        # T R T^H of the real form's inverse R
+        inverse = jax.lax.complex(0.5 * (real + real[::-1, ::-1]), 0.5 * (real[::-1] - real[:, ::-1]))
+    else:
+        inverse, rank = _inverse_above(gram, _KEPT**2)
     return ChannelEstimate(_symmetrise(received @ pilots.conj().T @ inverse), rank)
 
 
@@ -176,31 +167,33 @@ def _inverse_above(matrix: Inexact[Array, "n n"], share: float) -> tuple[Inexact
 
     Accelerators solve eigenproblems of 64 antennas in batches, singular value decompositions one by one.
     """
-    values, vectors = jnp.linalg.eigh(matrix)
-    inverse = _inverses_above(values, share)
-    return (vectors * inverse) @ vectors.conj().T, jnp.sum(inverse > 0.0, dtype=jnp.int32)
+    _, vectors, inverses = _above(matrix, share)
+    return _put_together(vectors, inverses)
 
 
 @_inverse_above.defjvp
 def _inverse_above_jvp(share: float, primals: tuple, tangents: tuple):
     """By divided differences of what is done to the eigenvalues, finite where eigenvalues meet, where eigenvectors have
     no derivative: -1/(a b) between two that are kept, 1/(a (a - b)) between one that is and one that is not."""
-    (matrix,), (tangent,) = primals, tangents
-    values, vectors = jnp.linalg.eigh(matrix)
-    inverse = _inverses_above(values, share)
-    kept = inverse > 0.0
+    values, vectors, inverses = _above(*primals, share)
+    kept = inverses > 0.0
     apart = kept[:, None] != kept
     gaps = jnp.where(apart, values[:, None] - values, 1.0)
-    slopes = jnp.where(apart, (inverse[:, None] - inverse) / gaps, -inverse[:, None] * inverse)
-    turned = vectors @ (slopes * (vectors.conj().T @ tangent @ vectors)) @ vectors.conj().T
-    rank = jnp.sum(kept, dtype=jnp.int32)
-    return ((vectors * inverse) @ vectors.conj().T, rank), (turned, np.zeros(rank.shape, jax.dtypes.float0))
+    slopes = jnp.where(apart, (inverses[:, None] - inverses) / gaps, -inverses[:, None] * inverses)
+    turned = vectors @ (slopes * (vectors.conj().T @ tangents[0] @ vectors)) @ vectors.conj().T
+    inverse, rank = _put_together(vectors, inverses)
+    return (inverse, rank), (turned, np.zeros(rank.shape, jax.dtypes.float0))
 
 
-def _inverses_above(values: Float[Array, " n"], share: float) -> Float[jax.Array, " n"]:
-    """One over each of ascending values, zero up to a share of the last."""
+def _above(matrix: Inexact[Array, "n n"], share: float):
+    """Eigenvalues (n,), ascending, eigenvectors (n, n), and one over each value, zero up to a share of the largest."""
+    values, vectors = jnp.linalg.eigh(matrix)
     kept = values > share * values[-1]
-    return jnp.where(kept, 1.0 / jnp.where(kept, values, 1.0), 0.0)
+    return values, vectors, jnp.where(kept, 1.0 / jnp.where(kept, values, 1.0), 0.0)
+
+
+def _put_together(vectors: Inexact[Array, "n n"], inverses: Float[Array, " n"]):
+    return (vectors * inverses) @ vectors.conj().T, jnp.sum(inverses > 0.0, dtype=jnp.int32)
 
 
 def ridge(received: Received, pilots: Pilots, noise_w: ArrayLike, region: Region | None = None) -> ChannelEstimate:
@@ -284,7 +277,7 @@ def _symmetrise(channel: jax.Array) -> jax.Array:
 
 
 ESTIMATORS: dict[str, Estimator] = {
-    "ls": Estimator(least_squares, run_beams=least_squares_beams),
+    "ls": Estimator(least_squares, run_beams=partial(least_squares, beams=True)),
     "ridge": Estimator(ridge, needs=("noise_w",)),
     "dft": Estimator(orthogonal_least_squares, uniform_pilots=True),
     "lmmse_roi": Estimator(lmmse_roi, needs=("noise_w", "region")),

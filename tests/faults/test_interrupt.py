@@ -1,5 +1,6 @@
 """Ctrl-C at any time of a command: status 130 at once, no traceback, and folders that the next run goes on with."""
 
+import contextlib
 import os
 import random
 import signal
@@ -18,6 +19,7 @@ AT_ONCE_S = 3.0
 """For a machine at work on other things; alone it takes a tenth of a second."""
 
 
+@contextlib.contextmanager
 def begun(words, folder):
     """A command whose line is there: Python's own start, before it, is left alone."""
     environment = os.environ | {"PYTHONUNBUFFERED": "1", "AUGUST_CHECK_TYPES": "0"}
@@ -25,12 +27,12 @@ def begun(words, folder):
         "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); "
         "import august_jax.app.cli as cli; print('here', file=sys.stderr, flush=True); sys.exit(cli.main())"
     )
-    process = subprocess.Popen(
+    with subprocess.Popen(
         [sys.executable, "-c", code, *words.split()], cwd=folder, env=environment, stderr=subprocess.PIPE,
         stdout=subprocess.DEVNULL, text=True,
-    )  # fmt: skip
-    assert process.stderr.readline() == "here\n"
-    return process
+    ) as process:  # fmt: skip
+        assert process.stderr.readline() == "here\n"
+        yield process
 
 
 def interrupted(words, folder, seconds):
