@@ -1,5 +1,7 @@
 """Estimators: the laws that all of them obey, their definitions, their error in the sector, one station at work."""
 
+import subprocess
+import sys
 from dataclasses import replace
 from functools import cache, partial
 
@@ -293,6 +295,24 @@ def test_the_station_s_least_squares_is_that_of_what_it_sent(pilots, monkeypatch
     assert (quick.rank == slow.rank).all()
     error = np.linalg.norm(quick.estimated_channel - slow.estimated_channel)
     assert error < 1e-4 * np.linalg.norm(slow.estimated_channel)
+
+
+AGAIN = """
+import jax, jax.numpy as jnp
+from august_jax.config import ArrayConfig, RegionConfig, SignalConfig
+from august_jax.signal import observe
+options = {"array": ArrayConfig(), "signal": SignalConfig(estimator="ls"), "region": RegionConfig(), "snr_db": 20.0}
+run = jax.jit(jax.vmap(lambda key, channel, place: observe(key, channel, place, **options)))
+keys, places = jax.random.split(jax.random.key(0), 24), jnp.linspace(10.0, 20.0, 72).reshape(24, 3)
+channels = 1e-7 * jax.random.normal(keys[0], (24, 1, 64, 64), jnp.complex64)
+for _ in range(200):
+    jax.block_until_ready(run(keys, channels, places))
+"""
+
+
+def test_estimate_and_statistics_do_not_wait_for_each_other():
+    """Two batched decompositions of one program, each of which takes a thread of a small pool, must come to an end."""
+    subprocess.run([sys.executable, "-c", AGAIN], check=True, timeout=240)
 
 
 @pytest.mark.parametrize("name", list(ESTIMATORS))

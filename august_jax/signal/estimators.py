@@ -163,10 +163,8 @@ def least_squares(
 
 @partial(jax.custom_jvp, nondiff_argnums=(1,))
 def _inverse_above(matrix: Inexact[Array, "n n"], share: float) -> tuple[Inexact[jax.Array, "n n"], Int[jax.Array, ""]]:
-    """Inverse of a Hermitian matrix on its eigenvalues above a share of the largest, and how many those are.
-
-    Accelerators solve eigenproblems of 64 antennas in batches, singular value decompositions one by one.
-    """
+    """Inverse of a positive semidefinite matrix on its eigenvalues above a share of the largest, and how many those
+    are."""
     _, vectors, inverses = _above(matrix, share)
     return _put_together(vectors, inverses)
 
@@ -175,21 +173,35 @@ def _inverse_above(matrix: Inexact[Array, "n n"], share: float) -> tuple[Inexact
 def _inverse_above_jvp(share: float, primals: tuple, tangents: tuple):
     """By divided differences of what is done to the eigenvalues, finite where eigenvalues meet, where eigenvectors have
     no derivative: -1/(a b) between two that are kept, 1/(a (a - b)) between one that is and one that is not."""
-    values, vectors, inverses = _above(*primals, share)
+    (matrix,), (tangent,) = primals, tangents
+    values, vectors, inverses = _above(matrix, share)
     kept = inverses > 0.0
     apart = kept[:, None] != kept
     gaps = jnp.where(apart, values[:, None] - values, 1.0)
     slopes = jnp.where(apart, (inverses[:, None] - inverses) / gaps, -inverses[:, None] * inverses)
-    turned = vectors @ (slopes * (vectors.conj().T @ tangents[0] @ vectors)) @ vectors.conj().T
+    turned = vectors @ (slopes * (vectors.conj().T @ tangent @ vectors)) @ vectors.conj().T
     inverse, rank = _put_together(vectors, inverses)
     return (inverse, rank), (turned, np.zeros(rank.shape, jax.dtypes.float0))
 
 
 def _above(matrix: Inexact[Array, "n n"], share: float):
     """Eigenvalues (n,), ascending, eigenvectors (n, n), and one over each value, zero up to a share of the largest."""
-    values, vectors = jnp.linalg.eigh(matrix)
+    values, vectors = jax.lax.platform_dependent(matrix, cpu=_by_singular_values, default=_by_eigenvalues)
     kept = values > share * values[-1]
     return values, vectors, jnp.where(kept, 1.0 / jnp.where(kept, values, 1.0), 0.0)
+
+
+def _by_eigenvalues(matrix: Inexact[Array, "n n"]):
+    """Accelerators solve eigenproblems of 64 antennas in batches, singular value decompositions one by one."""
+    values, vectors = jnp.linalg.eigh(matrix)
+    return values, vectors
+
+
+def _by_singular_values(matrix: Inexact[Array, "n n"]):
+    """The same of a positive semidefinite matrix. A processor's batched ``eigh`` waits for tasks of the pool that it
+    runs in: beside a batched ``qr``, as of the statistics, both wait for ever on two cores (jaxlib 0.10.2)."""
+    vectors, values, _ = jnp.linalg.svd(matrix)
+    return values[::-1], vectors[:, ::-1]
 
 
 def _put_together(vectors: Inexact[Array, "n n"], inverses: Float[Array, " n"]):
