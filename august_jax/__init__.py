@@ -8,6 +8,10 @@ On import, ``XLA_FLAGS`` is told not to fuse sums on CPUs where the installed ja
 them wrongly (:func:`xla_flags`). JAX reads the variable when it first computes: import august_jax before that.
 ``august doctor`` says whether sums come out right.
 
+Where the installed jaxlib is a release whose batched decompositions wait for the pool of threads that they run in,
+``PJRT_NPROC`` gives that pool six threads at the least (:func:`threads_wanted`): two of them at once never end on two
+cores.
+
 And products of matrices are asked of JAX in full single precision, unless ``JAX_DEFAULT_MATMUL_PRECISION`` or a program
 says otherwise: left alone, GPUs and TPUs round the factors to 10 or 7 binary digits, which is more than the noise of an
 echo. The networks' own layers say what they want themselves, and stay as fast as the device allows
@@ -17,6 +21,7 @@ echo. The networks' own layers say what they want themselves, and stay as fast a
 from __future__ import annotations
 
 import os
+import re
 import sys
 import warnings
 
@@ -43,6 +48,16 @@ products that are broadcast again, and 200 random sums of products with 1 to 8 a
 With the flag all come out right in all of these releases, and all of them know it. It is set in none that does without:
 XLA ends the process at a flag that it does not know, as a later release may not.
 """
+
+
+WAITS_IN_ITS_POOL = (0, 11, 2)
+"""Releases of jaxlib before this one run a batched QR, LU, Cholesky, eigen- or singular value decomposition on a CPU
+in a thread of XLA's pool, which waits there for others of the same pool to do parts of it. As many of them at once as
+there are threads, in one program or in several, wait for ever. Seen in 0.10.2 with two threads, not in 0.12.0.1."""
+
+LEAST_THREADS = 6
+"""More than decompositions that stand beside each other here: an estimate's and its statistics', in a step and in the
+stream that makes the next batch. No more than that, because LAPACK has threads of its own in each of them."""
 
 
 ALL_DIGITS = "highest"
@@ -85,6 +100,24 @@ def _set_xla_flags() -> None:
         )
 
 
+def threads_wanted(release: str, cores: int) -> int | None:
+    """Threads that XLA's pool needs on a CPU with this jaxlib; None where those that it takes by itself do.
+
+    Args:
+        release: of the installed jaxlib, e.g. "0.10.2".
+        cores: that this process may run on, of each of which the pool has a thread.
+    """
+    waits = tuple(int(part) for part in re.findall(r"\d+", release)[:3]) < WAITS_IN_ITS_POOL
+    return LEAST_THREADS if waits and cores < LEAST_THREADS else None
+
+
+def _set_threads() -> None:
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    wanted = threads_wanted(jaxlib.__version__, cores)
+    if wanted and not {"PJRT_NPROC", "NPROC"} & os.environ.keys():
+        os.environ["PJRT_NPROC"] = str(wanted)
+
+
 def _file_says_so(path: str) -> bool:
     try:
         with open(path, encoding="utf-8", errors="replace") as file:
@@ -103,4 +136,5 @@ def _set_precision() -> None:
 
 
 _set_xla_flags()
+_set_threads()
 _set_precision()

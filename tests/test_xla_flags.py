@@ -7,7 +7,7 @@ import sys
 import pytest
 from jaxlib.version import __version__ as jaxlib_release
 
-from august_jax import FUSES_SUMS_WRONGLY, UNFUSED_SUMS, names_a_file, xla_flags
+from august_jax import FUSES_SUMS_WRONGLY, LEAST_THREADS, UNFUSED_SUMS, names_a_file, threads_wanted, xla_flags
 from august_jax.app.sums import MANY_AXES, TRIALS, many_axes_fault, wrong_sums
 
 _OWN = "--xla_cpu_experimental_ynn_fusion_type="
@@ -83,3 +83,28 @@ def test_a_wrong_sum_is_told():
         "wrong ones are off by 0.002",
         "lost ones are off by nan",
     ]
+
+
+@pytest.mark.parametrize(
+    "jaxlib, cores, wanted",
+    [
+        ("0.10.0", 1, LEAST_THREADS),
+        ("0.10.2", 2, LEAST_THREADS),
+        ("0.10.3.dev20260801", 2, LEAST_THREADS),
+        ("0.11.1", 2, LEAST_THREADS),
+        ("0.10.2", LEAST_THREADS, None),
+        ("0.10.2", 256, None),
+        *((jaxlib, 2, None) for jaxlib in ("0.11.2", "0.12.0", "0.12.0.1", "0.13.0", "1.0.0")),
+    ],
+)
+def test_a_small_pool_gets_threads_where_decompositions_wait_in_it(jaxlib, cores, wanted):
+    assert threads_wanted(jaxlib, cores) == wanted
+
+
+@pytest.mark.parametrize("own", [{}, {"PJRT_NPROC": "3"}, {"NPROC": "4"}])
+def test_threads_of_ones_own_are_kept(own):
+    code = "import os, august_jax; print(os.environ.get('PJRT_NPROC'))"
+    clean = {name: value for name, value in os.environ.items() if name not in ("PJRT_NPROC", "NPROC")}
+    run = subprocess.run([sys.executable, "-c", code], env=clean | own, text=True, capture_output=True, check=True)
+    wanted = threads_wanted(jaxlib_release, len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count())
+    assert run.stdout.strip() == (own.get("PJRT_NPROC") or str(None if own else wanted))

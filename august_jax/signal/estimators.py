@@ -198,8 +198,8 @@ def _by_eigenvalues(matrix: Inexact[Array, "n n"]):
 
 
 def _by_singular_values(matrix: Inexact[Array, "n n"]):
-    """The same of a positive semidefinite matrix. A processor's batched ``eigh`` waits for tasks of the pool that it
-    runs in: beside a batched ``qr``, as of the statistics, both wait for ever on two cores (jaxlib 0.10.2)."""
+    """The same of a positive semidefinite matrix. On a processor it takes as long, and waits less often for threads
+    that wait themselves (:func:`august_jax.threads_wanted`)."""
     vectors, values, _ = jnp.linalg.svd(matrix)
     return values[::-1], vectors[:, ::-1]
 
