@@ -32,9 +32,20 @@ os.environ.setdefault("AUGUST_CACHE", tempfile.mkdtemp(prefix="august-cache-"))
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", tempfile.mkdtemp(prefix="august-compiled-"))
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.2")
 os.environ.setdefault("MPLBACKEND", "Agg")
-# Most of the suite's time is compilation; code that runs once need not be fast. A file of flags is left alone.
-if not os.environ.get("XLA_FLAGS", "").strip() or os.environ["XLA_FLAGS"].lstrip().startswith("-"):
-    os.environ["XLA_FLAGS"] = os.environ.get("XLA_FLAGS", "") + " --xla_backend_optimization_level=0"
+# Two workers on two cores: what LAPACK would do in threads waits for the other worker's.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# Most of the suite's time is compilation; code that runs once need not be fast. What is not so asks for `optimized`.
+os.environ.setdefault("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")
+
+
+@pytest.fixture
+def optimized():
+    """Programs are compiled as for users: a search runs its own so often that it takes a quarter of the time."""
+    import jax
+
+    jax.config.update("jax_disable_most_optimizations", False)
+    yield
+    jax.config.update("jax_disable_most_optimizations", os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"] == "1")
 
 
 @pytest.fixture

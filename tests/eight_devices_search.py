@@ -7,7 +7,7 @@ from test_inference_tones import heard, library, slots
 from august_jax.inference.screen import screen
 from august_jax.mesh import data_mesh
 
-pytestmark = pytest.mark.filterwarnings("ignore:cells.volumes")
+pytestmark = [pytest.mark.usefixtures("optimized"), pytest.mark.filterwarnings("ignore:cells.volumes")]
 
 
 def test_eight_devices_see_what_one_sees():

@@ -52,7 +52,9 @@ def schemes():
 
 
 @pytest.mark.parametrize("page", RUN)
-def test_every_example_of_a_page_runs_in_order(schemes, page):
+def test_every_example_of_a_page_runs_in_order(schemes, page, request):
+    if "find_craft" in text_of(page):
+        request.getfixturevalue("optimized")
     names: dict = {}
     for block in blocks(page, "python"):
         exec(compile(block, f"{page}: {block.splitlines()[0]}", "exec"), names)

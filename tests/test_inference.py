@@ -25,6 +25,7 @@ from august_jax.signal.roi import change_of_centre
 
 SMOKE = preset("smoke")
 CONFIG = replace(SMOKE, target=replace(SMOKE.target, permittivity=(1.5, 4.0)))
+pytestmark = pytest.mark.usefixtures("optimized")
 POSE = (jnp.asarray(attitude_lattice(25.0, 40.0)[3]), jnp.asarray([4.5, 6.0, 3.2], jnp.float32))
 
 

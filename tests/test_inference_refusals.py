@@ -18,7 +18,10 @@ from august_jax.signal import Statistics, observe_region
 
 SMOKE = preset("smoke")
 CONFIG = replace(SMOKE, target=replace(SMOKE.target, permittivity=(1.5, 4.0)))
-pytestmark = pytest.mark.filterwarnings("ignore:cells.volumes")  # cells as large as these are for tests alone
+pytestmark = [
+    pytest.mark.usefixtures("optimized"),
+    pytest.mark.filterwarnings("ignore:cells.volumes"),  # cells as large as these are for tests alone
+]
 
 
 @cache

@@ -24,7 +24,10 @@ TONES = (2.96e9, 3.04e9)  # 80 MHz apart: their phase repeats every 1.9 m of ran
 ROTATION = attitude_lattice(25.0, 40.0)[3]
 POSITION = np.asarray([4.5, 6.0, 3.2], np.float32)
 MATERIAL = (2.5, 5e-3)
-pytestmark = pytest.mark.filterwarnings("ignore:cells.volumes")  # cells as large as these are for tests alone
+pytestmark = [
+    pytest.mark.usefixtures("optimized"),
+    pytest.mark.filterwarnings("ignore:cells.volumes"),  # cells as large as these are for tests alone
+]
 
 
 def configured(tones):
@@ -112,6 +115,7 @@ def test_a_step_in_range_turns_the_tones_against_each_other():
     assert np.diff(per_metre)[0] == pytest.approx(2.0 * apart, rel=0.05)
 
 
+@pytest.mark.slow
 def test_search_finds_craft_and_place_and_tones_tell_the_range():
     """At 30 dB. With one tone the range is off by a decimetre and more; the gain takes its phase."""
     found = {row: find_craft(library(), heard(row, 30.0), prior(), key=jax.random.key(row)) for row in range(3)}

@@ -12,7 +12,7 @@ EIGHT = "--xla_force_host_platform_device_count=8"
 """Devices of a CPU, in the place of eight GPUs."""
 
 
-@pytest.mark.parametrize("which", ["eight_devices.py", "eight_devices_search.py"])
+@pytest.mark.parametrize("which", ["eight_devices.py", pytest.param("eight_devices_search.py", marks=pytest.mark.slow)])
 def test_on_eight_devices(which):
     run = subprocess.run(
         [sys.executable, "-m", "pytest", "-n", "0", "-x", "-q", "-p", "no:cacheprovider", str(HERE / which)],

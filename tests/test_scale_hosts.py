@@ -88,6 +88,7 @@ def test_where_one_host_cannot_begin_neither_does(what, messages, tmp_path):
         assert message in told["refused"]
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:cells.volumes")
 def test_each_host_makes_its_own_rows_of_a_stream(tmp_path):
     whole = StreamedBatches(STREAM, prepare_targets(override(STREAM, ["data.solver=table"])))(3)

@@ -17,7 +17,7 @@ from pathlib import Path
 from august_jax.app.machine import processor_mark
 from august_jax.files import cache_folder
 
-__all__ = ["keep_compiled"]
+__all__ = ["YES", "keep_compiled"]
 
 _LEAST_S = 0.1
 """What compiles faster is not kept: reading it back takes as long."""
@@ -26,7 +26,7 @@ _PART = 0.8
 _STAMP = "looked-at"
 _ZSTD = b"\x28\xb5\x2f\xfd"
 """How what JAX packs by zstandard begins, which only newer versions of Python unpack; else it packs by zlib."""
-_YES = ("y", "yes", "t", "true", "on", "1")
+YES = ("y", "yes", "t", "true", "on", "1")
 """What JAX takes for yes."""
 
 
@@ -40,7 +40,7 @@ def keep_compiled() -> Path | None:
         to be kept, the folder cannot be written, or programs read back are known to end the process (macOS before
         jaxlib 0.10).
     """
-    wanted = os.environ.get("JAX_ENABLE_COMPILATION_CACHE", "true").lower() in _YES
+    wanted = os.environ.get("JAX_ENABLE_COMPILATION_CACHE", "true").lower() in YES
     if "jax" in sys.modules or os.environ.get("JAX_COMPILATION_CACHE_DIR") or not wanted:
         return None
     try:

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from august_jax import UNFUSED_SUMS, config, names_a_file
+from august_jax.app.compiled import YES
 from august_jax.app.devices import describe_backend_error
 from august_jax.files import cache_folder
 from august_jax.memory import memory
@@ -149,6 +150,8 @@ def _speed(computes: bool) -> tuple[bool | None, str]:
         slow.append("nothing is factored yet: the first command takes up to a minute a drone longer, once")
     if "xla_backend_optimization_level=0" in os.environ.get("XLA_FLAGS", ""):
         slow.append("XLA_FLAGS turns optimisation off: unset it")
+    if os.environ.get("JAX_DISABLE_MOST_OPTIMIZATIONS", "").lower() in YES:
+        slow.append("JAX_DISABLE_MOST_OPTIMIZATIONS turns optimisation off: unset it")
     return None if slow else True, "; ".join(slow) or "nothing is known to be slow here"
 
 

@@ -123,7 +123,7 @@ def _improved(table, subspace, statistics, prior, candidates, temperature, steps
     return jax.lax.map(one, candidates, batch_size=_TOGETHER)
 
 
-@partial(jax.jit, static_argnames=("subspace", "steps"))
+@partial(jax.jit, static_argnames="subspace")
 def polished(
     body: Body,
     table: Table,
@@ -132,7 +132,7 @@ def polished(
     prior: Prior,
     candidates: Candidates,
     *,
-    steps: int = 6,
+    steps: int | Int[Array, ""] = 6,
 ) -> Candidates:
     """Candidates of one craft after ``steps`` steps each on its factored body; slopes are the table's."""
 

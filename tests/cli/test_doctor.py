@@ -90,6 +90,15 @@ def test_a_device_that_is_not_there_is_named():
     assert line.startswith("FAIL") and "JAX_PLATFORMS: 'abacus'" in line and "set JAX_PLATFORMS=cpu" in line
 
 
+def test_optimisation_turned_off_is_told(monkeypatch):
+    wanted = {"JAX_DISABLE_MOST_OPTIMIZATIONS": "True", "XLA_FLAGS": "--xla_backend_optimization_level=0"}
+    for variable in wanted:
+        for each, value in wanted.items():
+            monkeypatch.setenv(each, value if each == variable else "")
+        told = doctor._speed(False)[1]
+        assert [each for each in wanted if f"{each} turns optimisation off: unset it" in told] == [variable]
+
+
 def test_settings_of_jax_are_told(monkeypatch):
     for name in doctor.SETTINGS:
         monkeypatch.delenv(name, raising=False)
