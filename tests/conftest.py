@@ -43,9 +43,12 @@ def optimized():
     """Programs are compiled as for users: a search runs its own so often that it takes a quarter of the time."""
     import jax
 
+    from august_jax.app.compiled import YES
+
     jax.config.update("jax_disable_most_optimizations", False)
     yield
-    jax.config.update("jax_disable_most_optimizations", os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"] == "1")
+    before = os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"].lower() in YES  # JAX tells no flag's present value
+    jax.config.update("jax_disable_most_optimizations", before)
 
 
 @pytest.fixture

@@ -306,8 +306,8 @@ import jax, jax.numpy as jnp
 from august_jax.config import ArrayConfig, RegionConfig, SignalConfig
 from august_jax.signal import observe
 options = {"signal": SignalConfig(estimator="ls"), "region": RegionConfig(), "snr_db": 20.0}
-array = ArrayConfig(nx=8, nz=4)
-run = jax.jit(jax.vmap(lambda key, channel, place: observe(key, channel, place, array=array, **options)))
+options["array"] = ArrayConfig(nx=8, nz=4)
+run = jax.jit(jax.vmap(lambda key, channel, place: observe(key, channel, place, **options)))
 keys, places = jax.random.split(jax.random.key(0), 12), jnp.linspace(10.0, 20.0, 36).reshape(12, 3)
 channels = 1e-7 * jax.random.normal(keys[0], (12, 1, 32, 32), jnp.complex64)
 for _ in range(200):

@@ -186,22 +186,9 @@ def _inverse_above_jvp(share: float, primals: tuple, tangents: tuple):
 
 def _above(matrix: Inexact[Array, "n n"], share: float):
     """Eigenvalues (n,), ascending, eigenvectors (n, n), and one over each value, zero up to a share of the largest."""
-    values, vectors = jax.lax.platform_dependent(matrix, cpu=_by_singular_values, default=_by_eigenvalues)
+    values, vectors = jnp.linalg.eigh(matrix)
     kept = values > share * values[-1]
     return values, vectors, jnp.where(kept, 1.0 / jnp.where(kept, values, 1.0), 0.0)
-
-
-def _by_eigenvalues(matrix: Inexact[Array, "n n"]):
-    """Accelerators solve eigenproblems of 64 antennas in batches, singular value decompositions one by one."""
-    values, vectors = jnp.linalg.eigh(matrix)
-    return values, vectors
-
-
-def _by_singular_values(matrix: Inexact[Array, "n n"]):
-    """The same of a positive semidefinite matrix. On a processor it takes as long, and waits less often for threads
-    that wait themselves (:func:`august_jax.threads_wanted`)."""
-    vectors, values, _ = jnp.linalg.svd(matrix)
-    return values[::-1], vectors[:, ::-1]
 
 
 def _put_together(vectors: Inexact[Array, "n n"], inverses: Float[Array, " n"]):
