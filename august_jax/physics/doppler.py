@@ -31,6 +31,7 @@ from august_jax.arrays import Array, ArrayLike
 from august_jax.constants import SPEED_OF_LIGHT
 from august_jax.physics.array import AntennaArray, PlanarArray
 from august_jax.physics.body.body import Body, body_channel, judge_contrast
+from august_jax.physics.body.table import Table, check_contrast_range, check_place, table_channel
 from august_jax.physics.checks import (
     check_contrast,
     check_finite,
@@ -49,13 +50,13 @@ class Spinning(NamedTuple):
     """A rotor on a craft.
 
     Attributes:
-        body: the rotor, factored about its own centre; z is its axis.
+        body: the rotor, factored or tabulated about its own centre; z is its axis.
         centre_m: where that is in the craft's frame (3,) [m].
         rate_hz: turns a second about the craft's z, positive anticlockwise seen from above.
         phase_rad: how far it has turned at t = 0 [rad].
     """
 
-    body: Body
+    body: Body | Table
     centre_m: Float[Array, "3"] | Sequence[float]
     rate_hz: ArrayLike
     phase_rad: ArrayLike = 0.0
@@ -76,7 +77,7 @@ class DopplerMap(NamedTuple):
 
 
 def slow_time_channels(
-    hull: Body,
+    hull: Body | Table,
     rotors: Sequence[Spinning],
     array: PlanarArray | AntennaArray,
     rotation: Float[Array, "3 3"],
@@ -90,7 +91,9 @@ def slow_time_channels(
     """Channels of a craft at instants of slow time.
 
     Args:
-        hull: the craft without rotors, factored in its own frame.
+        hull: the craft without rotors, factored in its own frame; or a table, of it and of each rotor as wanted, which
+            is faster and errs by steps of the size of ``table.errors`` where the nearest direction of its grid changes:
+            they spread as far below the hull's line over all shifts.
         rotors: what turns on it; factored for the same tones.
         array: the antennas, transmitting and, without ``receiver``, receiving.
         rotation: craft axes to world axes (3, 3), held.
@@ -105,7 +108,8 @@ def slow_time_channels(
         the bodies.
 
     Raises:
-        ValueError: as :func:`august_jax.physics.body_channel`; bodies of different tones; times that are no list.
+        ValueError: as :func:`august_jax.physics.body_channel` and :func:`august_jax.physics.table_channel`; bodies of
+            different tones; times that are no list.
     """
     bodies = [hull, *(rotor.body for rotor in rotors)]
     if any((each.frequencies_hz, each.single) != (hull.frequencies_hz, hull.single) for each in bodies):
@@ -121,8 +125,10 @@ def slow_time_channels(
     check_pose(hull.frequencies_hz, array, receiver, rotation, translation)
     tones = len(hull.frequencies_hz)
     check_contrast(contrast, ((), (tones,)), f"a scalar or ({tones},), one value a tone")
-    if is_concrete(contrast):
-        for each in bodies:
+    for each in bodies:
+        if isinstance(each, Table):
+            check_contrast_range(each, contrast)
+        elif is_concrete(contrast):
             judge_contrast(each, contrast)
     # places in double precision where they can be: k v t is many turns
     exact = is_concrete((translation, velocity_m_s, times_s))
@@ -131,15 +137,12 @@ def slow_time_channels(
     ends = [end for end in (array, receiver) if end is not None]
     if exact and is_concrete((ends, rotation, rotors)) and len(places):
         for each, centre in zip(bodies, [np.zeros(3), *(np.asarray(rotor.centre_m) for rotor in rotors)], strict=True):
-            paths = places + np.asarray(rotation, np.float64) @ centre
-            for end in ends:
-                gaps = np.linalg.norm(paths - np.asarray(end.positions, np.float64).mean(axis=0), axis=-1)
-                check_nearest(each.nearest_m, end, paths[np.argmin(gaps)], "translation")
+            _check_paths(each, array, receiver, rotation, places + np.asarray(rotation, np.float64) @ centre, ends)
     places = jnp.asarray(places, jnp.float32)
     turn = jnp.asarray(rotation, jnp.float32)
     still = is_concrete(velocity_m_s) and not np.any(np.asarray(velocity_m_s))
     if still:
-        alone = body_channel(hull, array, turn, places[0], contrast, receiver=receiver)
+        alone = _channel(hull, array, turn, places[0], contrast, receiver)
         total = jnp.broadcast_to(alone, (len(places), *alone.shape))
     else:
         total = _moved(hull, array, receiver, jnp.broadcast_to(turn, (len(places), 3, 3)), places, contrast)
@@ -155,6 +158,25 @@ def slow_time_channels(
     return total
 
 
+def _channel(body, array, rotation, place, contrast, receiver):
+    channel = table_channel if isinstance(body, Table) else body_channel
+    return channel(body, array, rotation, place, contrast, receiver=receiver)
+
+
+def _check_paths(body, array, receiver, rotation, path, ends):
+    """Refuse a path (T, 3) that leads out of what the body knows: at its nearest, and for a table at its farthest, and
+    where it sees the antennas lowest and highest (turning about z changes none of these)."""
+    for end in ends:
+        away = np.asarray(end.positions, np.float64).mean(axis=0) - path
+        gaps = np.linalg.norm(away, axis=-1)
+        if not isinstance(body, Table):
+            check_nearest(body.nearest_m, end, path[np.argmin(gaps)], "translation")
+            continue
+        heights = away @ np.asarray(rotation, np.float64)[:, 2] / np.maximum(gaps, 1e-12)
+        for row in {each(values) for values in (gaps, heights) for each in (np.argmin, np.argmax)}:
+            check_place(body, array, receiver, rotation, path[row])
+
+
 def about_z(angles_rad: Float[Array, "*shape"]) -> Float[jax.Array, "*shape 3 3"]:
     """Rotations about z by angles [rad], anticlockwise seen from above."""
     vectors = jnp.asarray(angles_rad)[..., None] * jnp.array([0.0, 0.0, 1.0])
@@ -164,7 +186,7 @@ def about_z(angles_rad: Float[Array, "*shape"]) -> Float[jax.Array, "*shape 3 3"
 @jax.jit
 def _moved(body, array, receiver, turns, places, contrast):
     def one(pose):
-        return body_channel(body, array, pose[0], pose[1], contrast, receiver=receiver)
+        return _channel(body, array, pose[0], pose[1], contrast, receiver)
 
     return jax.lax.map(one, (turns, places), batch_size=_TOGETHER)
 

@@ -21,6 +21,7 @@ from august_jax.physics import (
     sensing_channel,
     slow_time_channels,
     spectrogram,
+    tabulate,
     wavenumber,
 )
 from august_jax.physics.doppler import about_z
@@ -137,6 +138,25 @@ def test_a_rotor_stands_where_the_craft_carries_it(hull, rotor):
     wanted = np.asarray(body_channel(hull, array, rotation, there, CHI))
     wanted = wanted + np.asarray(body_channel(body, array, rotation @ turn, there + rotation @ centre, CHI))
     assert np.linalg.norm(found[0] - wanted) < 1e-4 * np.linalg.norm(wanted)
+
+
+def test_tables_serve_as_the_bodies_that_they_were_made_of(hull, rotor):
+    """To what they say of their errors; and what leads out of a table is refused, pulse by pulse."""
+    array, rotation = PlanarArray(3, 2, FREQUENCY), turned((0.4, -0.2, 0.1))
+    flown = {"array": array, "rotation": rotation, "translation": np.array([1.0, 6.0, 2.0]), "contrast": CHI}
+    motion = {"times_s": np.linspace(0.0, 0.1, 9), "velocity_m_s": np.array([3.0, -5.0, 1.0])}
+    bodies = hull, rotor[0]
+    tables = [tabulate(each, array, distance_m=(5.0, 8.0), cache=False) for each in bodies]
+    by_body, by_table = (
+        np.asarray(slow_time_channels(first, [Spinning(second, (0.1, 0.1, 0.03), 25.0)], **flown, **motion))
+        for first, second in (bodies, tables)
+    )
+    off = np.linalg.norm(by_table - by_body, axis=(1, 2)) / np.linalg.norm(by_body, axis=(1, 2))
+    assert np.median(off) < 2.0 * max(float(table.errors[0, 1]) for table in tables) < 0.04
+    with pytest.raises(ValueError, match="translation: the body is .* the table holds"):  # 9 m away in the end
+        slow_time_channels(tables[0], [], **flown, times_s=np.array([0.0, 1.0]), velocity_m_s=(0.0, 2.5, 0.0))
+    with pytest.raises(ValueError, match="contrast: got .* the table holds 0.5 to 4.2"):
+        slow_time_channels(hull, [Spinning(tables[1], (0.1, 0.1, 0.03), 25.0)], **flown | {"contrast": 9.0}, **motion)
 
 
 def test_channels_are_differentiable_in_speed_and_rate(hull, speck):

@@ -159,7 +159,7 @@ def table_channel(
     check_contrast(contrast, ((), (tones,)), f"a scalar or ({tones},), one value a tone")
     _check_craft(table, craft)
     check_contrast_range(table, contrast)
-    _check_place(table, array, receiver, rotation, translation)
+    check_place(table, array, receiver, rotation, translation)
     combined = _checked_combine(combine, array, receiver, tones)
     return _table_channel(
         table,
@@ -204,7 +204,12 @@ def check_contrast_range(table: Table, contrast: ArrayLike | Sequence) -> None:
         )
 
 
-def _check_place(table, array, receiver, rotation, translation):
+def check_place(table: Table, array, receiver, rotation, translation) -> None:
+    """Refuse a concrete pose from which a table does not hold what antennas see.
+
+    Raises:
+        ValueError: distances, an extent or an elevation out of range.
+    """
     if not is_concrete((array, receiver, translation)):
         return
     places = np.concatenate([np.asarray(end.positions, np.float64) for end in (array, receiver) if end is not None])
