@@ -266,6 +266,8 @@ def test_what_cannot_be_followed_is_refused():
     statistics = follow.Statistics(nothing, nothing, place + np.float32(0.1))
     with pytest.raises(ValueError, match="statistics: heard about .* place"):
         follower.hear(statistics)
+    with pytest.raises(ValueError, match="statistics: heard about .*nan"):
+        follower.hear(statistics._replace(centre=place * np.float32(np.nan)))
     with pytest.raises(ValueError, match="statistics: received .* not finite"):
         follower.hear(statistics._replace(received=nothing * np.nan, centre=place))
     with pytest.raises(ValueError, match="statistics: pilots has shape .* tones and array"):

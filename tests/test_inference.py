@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from echoes import echo_of, truth_of
 
-from august_jax.config import preset
+from august_jax.config import override, preset
 from august_jax.data import generate, prepare_targets
-from august_jax.inference import Prior, find_craft, known_craft, population, refined
+from august_jax.inference import Prior, find, find_craft, known_craft, population, refined
 from august_jax.inference.population import Poses, log_mean_likelihood, mixture, populate
 from august_jax.inference.prior import TILT_BINS
 from august_jax.inference.refine import begin, cost, improved, polished
@@ -288,6 +288,7 @@ def test_a_sample_does_not_measure_the_part_that_was_laid_about_it():
     np.testing.assert_allclose(density(middle), density(far), atol=1e-4)
 
 
+@pytest.mark.slow
 def test_the_evidence_does_not_fall_as_rounds_go_on(monkeypatch):
     """Evidence from few samples in many rounds, whose parts lie about earlier samples, against single rounds of many:
     three quarters of it (descendants of a sample still lie about it), where it is the fifth part if samples measure
@@ -368,6 +369,37 @@ def test_an_echo_of_noise_is_of_no_use_and_says_so():
     assert found.explained
     assert np.all(np.isfinite(found.mean_position))
     assert np.sqrt(np.trace(found.position_covariance)) > 0.2
+
+
+@pytest.mark.slow
+def test_double_precision_elsewhere_does_not_reach_a_search():
+    """What JAX is set to is a thread's own: a search, and each thread of its, is pinned."""
+    statistics, key = heard(0, 30.0), jax.random.key(4)
+    wanted = find_craft(library(), statistics, prior(), key=key)
+    jax.config.update("jax_enable_x64", True)
+    try:
+        found = find_craft(library(), statistics, prior(), key=key)
+    finally:
+        jax.config.update("jax_enable_x64", False)
+    assert found.position.dtype == np.float32
+    np.testing.assert_array_equal(found.hypotheses.position, wanted.hypotheses.position)
+
+
+def test_a_material_that_is_known_leaves_a_prior_with_a_density():
+    for changes in (["target.permittivity=[3,3]"], ["target.conductivity_s_m=[0,0]"], ["target.permittivity=[1,1.5]"]):
+        known = Prior.from_config(override(CONFIG, changes))
+        known.check()
+        for ends, least in ((known.permittivity, 1e-3), (known.conductivity, 1e-7)):
+            assert 0.0 <= float(ends[0]) < float(ends[1]) - least
+    assert np.asarray(Prior.from_config(override(CONFIG, changes)).permittivity).tolist() == [1.0, 1.5]
+
+
+def test_a_prior_that_begins_at_air_is_within_tables_that_do_not():
+    """Tables begin at a hundredth of the greatest contrast."""
+    known = replace(library(), table=replace(library().table, contrast=(0.04, 4.0)))
+    find._check_held(known, heard(0, 30.0), prior()._replace(permittivity=np.float32([1.0, 5.0])))
+    with pytest.raises(ValueError, match="permittivity from 1 to 4 is beyond"):
+        find._check_held(library(), heard(0, 30.0), prior()._replace(permittivity=np.float32([1.0, 4.0])))
 
 
 def test_a_craft_that_is_not_known_is_not_explained():

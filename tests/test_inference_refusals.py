@@ -140,6 +140,10 @@ REFUSED = {
         lambda: searched(permittivity=(4.0, 1.5)),
         ("prior: permittivity", "from 4 to 1.5", "the smaller first"),
     ),
+    "a material without room": (
+        lambda: searched(conductivity=(5e-3, 5e-3)),
+        ("prior: conductivity", "from 0.005 to 0.005", "a thousandth of it"),
+    ),
     "materials that no table holds": (
         lambda: searched(permittivity=(6.0, 7.0)),
         ("prior: permittivity", "from 6 to 7", "tables, which hold", "target.permittivity"),

@@ -46,6 +46,8 @@ _BEYOND_DEG = 3.0
 """It holds tilts up to this much more than ``flight.tilt_deg``."""
 _BEYOND = 0.05
 """Relative to a range of materials, what a table holds beyond either end."""
+FAINTEST = 1e-2
+"""The least contrast that a table holds, relative to the greatest: nearer to air an echo is as good as none."""
 _FIELDS = {
     "array": "array.nx",
     "contrast": "target.permittivity, target.conductivity_s_m",
@@ -139,7 +141,7 @@ def _ranges(config: Config, beyond_m: float = 0.0, beyond_deg: float = 0.0, beyo
     loss = np.imag(contrast_of(config, 1.0, config.target.conductivity_s_m[1])).max()
     return _Ranges(
         distance_m=(max(near, nearest_distance(config) + _extent(config)), far),
-        contrast=(max(low - more, 1e-2 * high), high + more),
+        contrast=(max(low - more, FAINTEST * high), high + more),
         loss=(1.0 + beyond) * float(loss),
         elevation_deg=(float(max(-above.max() - tilt, -90.0)), float(min(-above.min() + tilt, 90.0))),
     )

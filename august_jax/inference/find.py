@@ -11,8 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from august_jax import streams
 from august_jax.arrays import Array
-from august_jax.data.simulator import contrast_of
+from august_jax.data.simulator import FAINTEST, contrast_of
 from august_jax.inference.echo import bearing, chance, degrees_left, echo_energy, echo_snr_db
 from august_jax.inference.hypotheses import (
     Hypotheses,
@@ -93,6 +94,7 @@ _TEMPER, _FLATTER = 0.4, 0.3
 _MATTERS = 0.3
 
 
+@streams.pin
 def find_craft(
     library: Library, statistics: Statistics, prior: Prior, *, key: jax.Array, level: float = LEVEL
 ) -> Posterior:
@@ -153,6 +155,7 @@ def _looked(library, statistics, prior, snr_db, plan: _Plan, attitudes, met: lis
     return found
 
 
+@streams.pin
 def refined(
     library: Library,
     statistics: Statistics,
@@ -212,11 +215,12 @@ def _check_held(library: Library, statistics: Statistics, prior: Prior) -> None:
     """Beyond a table polynomials grow without bound, and a compiled search cannot tell."""
     table, slack = library.table, 1e-3
     low, high = (float(end) - 1.0 for end in prior.permittivity)
+    low = max(low, FAINTEST * high)  # tables begin there: nearer to air they interpolate to nothing
     if low < table.contrast[0] - slack or high > table.contrast[1] + slack:
         raise ValueError(
-            f"prior: permittivity from {1.0 + low:g} to {1.0 + high:g} is beyond the library's tables, which hold "
-            f"{1.0 + table.contrast[0]:.3g} to {1.0 + table.contrast[1]:.3g}; make the library with that range "
-            "(target.permittivity)"
+            f"prior: permittivity from {float(prior.permittivity[0]):g} to {1.0 + high:g} is beyond the library's "
+            f"tables, which hold {1.0 + table.contrast[0]:.3g} to {1.0 + table.contrast[1]:.3g}; make the library with "
+            "that range (target.permittivity)"
         )
     loss = float(np.imag(contrast_of(library.config, 1.0, float(prior.conductivity[1]))).max())
     if loss > table.loss + slack:

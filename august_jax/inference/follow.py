@@ -148,6 +148,7 @@ class Follower:
         progress: told of whole searches.
     """
 
+    @streams.pin
     def __init__(
         self,
         library: Library,
@@ -166,6 +167,7 @@ class Follower:
         self._expected: list[Belief] = []  # before the echo of this one
         self._place: np.ndarray | None = None
 
+    @streams.pin
     def place(self, detection: Float[Array, "3"]) -> Float[np.ndarray, "3"]:
         """Where the next slot is to be listened to (3,) [m].
 
@@ -185,6 +187,7 @@ class Follower:
         self._place = np.asarray(place, np.float32)
         return self._place
 
+    @streams.pin
     def hear(self, statistics: Statistics) -> Step:
         """Take a slot's echo, heard about :meth:`place`.
 
@@ -192,7 +195,7 @@ class Follower:
             ValueError: it was heard elsewhere, or is not finite, or of other tones or another array than the library's.
         """
         began = time.perf_counter()
-        if self._place is None or np.max(np.abs(np.asarray(statistics.centre) - self._place)) > 1e-4:
+        if self._place is None or not np.max(np.abs(np.asarray(statistics.centre) - self._place)) <= 1e-4:
             raise ValueError(
                 f"statistics: heard about {np.asarray(statistics.centre)}; listen at place(...), and then hear"
             )

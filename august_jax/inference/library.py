@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float
 
+from august_jax import streams
 from august_jax.config import Config
 from august_jax.data.simulator import Target, check_table, contrast_of, prepare_targets, tabulate_targets
 from august_jax.inference.screen import attitude_lattice
@@ -77,6 +78,7 @@ class Library:
         return body
 
 
+@streams.pin
 def known_craft(
     config: Config,
     targets: Sequence[Target] | None = None,

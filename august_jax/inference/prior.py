@@ -25,8 +25,15 @@ TILT_BINS = 64
 _TURN_RAD = 0.5  # of a step's or a mode's attitude, where the echo says less
 _FLIGHTS = 512
 _EDGE_RAD, _EDGES = np.radians(0.5), 6.0  # of the tilt's density beyond the largest
+_LEAST_OF, _LEAST_S_M = 1e-3, 1e-6  # of the ranges of material: relative, and of a conductivity that is zero
 GAIN_DB = 1.0
 """Standard deviation to which the level of the gain is calibrated [dB], where nothing else is said."""
+
+
+def _widened(low: float, high: float, least: float) -> tuple[float, float]:
+    """The range, at least so wide."""
+    more = 0.5 * max(least - (high - low), 0.0)
+    return max(low - more, 0.0), high + more + max(more - low, 0.0)
 
 
 class Prior(NamedTuple):
@@ -52,7 +59,8 @@ class Prior(NamedTuple):
 
     @classmethod
     def from_config(cls, config: Config, *, gain_db: float = GAIN_DB, phase_deg: float | None = None) -> Prior:
-        """The prior of a configuration's slots.
+        """The prior of a configuration's slots. A material that is one number is known to a thousandth of it: a range
+        without width has no density.
 
         Args:
             config: region, flights and materials.
@@ -71,12 +79,13 @@ class Prior(NamedTuple):
         edges = np.linspace(1.0, lowest, TILT_BINS + 1)
         counts = np.histogram(np.clip(cosines, lowest, 1.0), edges[::-1])[0][::-1] + 0.5
         density = counts / counts.sum() / (2.0 * np.pi * (1.0 - lowest) / TILT_BINS)
+        permittivity, conductivity = config.target.permittivity, config.target.conductivity_s_m
         numbers = (
             max(config.region.threshold_m, 1e-3),
             density,
             largest,
-            config.target.permittivity,
-            config.target.conductivity_s_m,
+            _widened(*permittivity, _LEAST_OF * permittivity[1]),
+            _widened(*conductivity, max(_LEAST_OF * conductivity[1], _LEAST_S_M)),
             gain_db * np.log(10.0) / 20.0,
             1e3 if phase_deg is None else np.radians(phase_deg),
         )
@@ -86,8 +95,7 @@ class Prior(NamedTuple):
         """Refuse a prior that leaves nothing to look at.
 
         Raises:
-            ValueError: a width or a density that is not positive and finite, or a range whose ends are the wrong way
-                round; names it.
+            ValueError: a width or a density that is not positive and finite, or a range that has no width; names it.
         """
         for name, wanted in (
             ("half_m", "give half the edge of a cube [m]"),
@@ -104,10 +112,10 @@ class Prior(NamedTuple):
                 )
         for name in ("permittivity", "conductivity"):
             low, high = np.asarray(getattr(self, name), np.float64)
-            if not (np.isfinite([low, high]).all() and low <= high):
+            if not (np.isfinite([low, high]).all() and low < high):
                 raise ValueError(
                     f"prior: {name} from {low:g} to {high:g} leaves nothing to look at; give two finite numbers, the "
-                    "smaller first"
+                    "smaller first (for one that is known a range of a thousandth of it)"
                 )
 
     def log_tilt(self, rotation: Float[Array, "*n 3 3"]) -> Float[jax.Array, "*n"]:

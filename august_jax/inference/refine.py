@@ -12,7 +12,7 @@ taken where it is no worse than what it came from; else the next is shorter.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Any, NamedTuple
@@ -22,6 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Complex, Float, Int
 
+from august_jax import streams
 from august_jax.arrays import Array
 from august_jax.inference.prior import Prior
 from august_jax.physics.body import Body
@@ -101,16 +102,24 @@ def improved(
 
 
 def in_pieces(function: Callable[[Any], Any], tree: Any) -> Any:
-    """``function`` of a tree of arrays with a common first axis, so many rows at a time: one shape to compile for; and
-    two pieces at once, because small products keep one core busy."""
+    """``function`` of a tree of arrays with a common first axis, so many rows at a time: one shape to compile for."""
     tree = jax.tree.map(np.asarray, tree)
     count = len(jax.tree.leaves(tree)[0])
     rows = np.resize(np.arange(count), (max(-(-count // _PIECE), 1), _PIECE))
-    with ThreadPoolExecutor(2) as pool:
-        found = list(
-            pool.map(lambda each: jax.tree.map(np.asarray, function(jax.tree.map(lambda leaf: leaf[each], tree))), rows)
-        )
+    found = two_at_once(lambda each: function(jax.tree.map(lambda leaf: leaf[each], tree)), rows)
     return jax.tree.map(lambda *leaves: np.concatenate(leaves)[:count], *found)
+
+
+def two_at_once(function: Callable[[Any], Any], pieces: Iterable[Any]) -> list[Any]:
+    """``function`` of every piece, as NumPy arrays: two at once, because small products keep one core busy. What JAX is
+    set to is a thread's own, so that each of the two is pinned as the search is."""
+
+    @streams.pin
+    def fetched(piece: Any) -> Any:
+        return jax.tree.map(np.asarray, function(piece))
+
+    with ThreadPoolExecutor(2) as pool:
+        return list(pool.map(fetched, pieces))
 
 
 @partial(jax.jit, static_argnames="subspace")

@@ -25,7 +25,6 @@ Each device of a mesh looks at attitudes of its own.
 from __future__ import annotations
 
 import math
-from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import NamedTuple
 
@@ -36,6 +35,7 @@ from jax.sharding import Mesh, PartitionSpec
 from jaxtyping import Bool, Complex, Float, Int
 
 from august_jax.arrays import Array
+from august_jax.inference.refine import two_at_once
 from august_jax.mesh import ROWS, SPLIT, WHOLE, own_accelerators, placed, spread
 from august_jax.physics.body.patch import fibonacci_lattice
 from august_jax.physics.body.survey import SurveyTable, nearest_directions, surveyed_coefficients
@@ -137,8 +137,8 @@ def screen(
     direction, rows, real = _blocks(nearest_directions(survey, 0, -sight @ attitudes), together)
     crafts = survey.directions.shape[0]
 
-    def compared(piece: slice) -> list[np.ndarray]:
-        found = _compared(
+    def compared(piece: slice) -> tuple[jax.Array, ...]:
+        return _compared(
             mesh,
             survey,
             subspace,
@@ -149,13 +149,11 @@ def screen(
             jnp.asarray(direction[piece]),
             jnp.asarray(attitudes[rows[piece]]),
         )
-        return [np.asarray(leaf) for leaf in found]
 
     pieces = [slice(start, start + together) for start in range(0, len(direction), together)]
-    with ThreadPoolExecutor(2) as pool:  # small products keep one core busy
-        residual, which, far, gain = (
-            np.concatenate(parts, axis=1) for parts in zip(*pool.map(compared, pieces), strict=True)
-        )
+    residual, which, far, gain = (
+        np.concatenate(parts, axis=1) for parts in zip(*two_at_once(compared, pieces), strict=True)
+    )
     residual = np.where(real, residual, np.inf)
     best = np.argpartition(residual.ravel(), min(keep, residual.size - 1))[:keep]
     best = best[np.argsort(residual.ravel()[best])]

@@ -237,8 +237,12 @@ def _tabulated(body, tone, array, axes, outline, progress) -> Factors:
     functions = np.empty((len(axes), patch.size, kept), np.float32)
     responses = np.empty((len(axes), len(nodes), 2, len(upper[0])), np.float32)
 
+    # a thread's own setting, which those of a pool do not inherit
+    double = bool(jax.config.jax_enable_x64)  # type: ignore[attr-defined]
+
     def fill(row):
-        made, answer, _ = _direction(axes[row], *args, k=k, spanned=spanned)
+        with jax.enable_x64(double):
+            made, answer, _ = _direction(axes[row], *args, k=k, spanned=spanned)
         functions[row] = made[:, spanned - kept :]
         responses[row] = np.asarray(answer)[..., spanned - kept + upper[0], spanned - kept + upper[1]]
         if row % 200 == 199:
