@@ -387,6 +387,19 @@ def test_estimate_improves_with_power_up_to_float32():
     assert errors[3] < errors[2]
 
 
+@pytest.mark.parametrize("look", [station.observe, station.observe_region])
+def test_a_prediction_in_whole_numbers_is_one(unchecked, look):
+    """Its own type would round the region's nodes and the antennas' places away."""
+    channel = 1e-7 * jax.random.normal(jax.random.key(2), (1, 64, 64), jnp.complex64)
+    given = {"array": ARRAY, "signal": SignalConfig(), "region": REGION, "snr_db": 10.0}
+    by_whole, by_real = (
+        look(jax.random.key(0), channel + channel.swapaxes(1, 2), jnp.array([5, 6, 3], kind), **given)
+        for kind in (jnp.int32, jnp.float32)
+    )
+    for whole, real in zip(jax.tree.leaves(by_whole), jax.tree.leaves(by_real), strict=True):
+        np.testing.assert_array_equal(whole, real)
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [

@@ -150,6 +150,7 @@ def test_nothing_leaves_the_region(predicted):
         assert np.all(direction[:, 1] * sight[:, 1] > 0.0)
 
 
+@pytest.mark.slow
 def test_slopes_are_finite_and_those_of_differences():
     """Of log |S|^2 over the place, at the prediction itself, too, and of what is found over the prediction."""
     (place,), (predicted,) = drawn(np.random.default_rng(5), 1, 5.0)
@@ -191,6 +192,14 @@ def test_the_schemes_share_a_direction_and_hear_either_form():
     np.testing.assert_allclose(angles[1], np.linalg.norm(predicted, axis=1), rtol=1e-6)
     with pytest.raises(ValueError, match="slots: heard is None, where the scheme 'polar' looks for a point"):
         SCHEMES["polar"].prepare(setting)(key, Slots(predicted, None, None, None))
+
+
+def test_a_prediction_in_whole_numbers_is_one(unchecked):
+    channel = echo_of(np.array([1.1, 4.2, 1.3]), PLANAR, ONE)
+    whole, real = (
+        polar.locate(channel, np.array([1, 4, 1], kind), PLANAR, ONE, reach_m=REACH).position for kind in ("i4", "f4")
+    )
+    np.testing.assert_array_equal(whole, real)
 
 
 @pytest.mark.parametrize(

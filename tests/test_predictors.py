@@ -75,6 +75,16 @@ def test_bad_histories_are_named(unchecked, name):
             predict_next(by_name(name), history)
 
 
+@pytest.mark.parametrize("name", list(PREDICTORS))
+def test_whole_numbers_are_places_too(unchecked, name):
+    """Of which a predictor makes no whole ones."""
+    places = [[3, 6, 2], [4, 6, 2], [5, 5, 3], [6, 5, 3]]
+    by_whole, by_real = (predict_next(by_name(name), jnp.array(places, kind)) for kind in (jnp.int32, jnp.float32))
+    np.testing.assert_array_equal(by_whole.position, by_real.position)
+    first = [by_name(name).start(jnp.array(places[0], kind)) for kind in (jnp.int32, jnp.float32)]
+    assert jax.tree.map(lambda leaf: leaf.dtype, first[0]) == jax.tree.map(lambda leaf: leaf.dtype, first[1])
+
+
 def difference(positions):
     return predict_next(FiniteDifference(), jnp.asarray(positions)).position
 

@@ -37,7 +37,7 @@ from jaxtyping import Complex, Float
 
 from august_jax.arrays import Array, ArrayLike
 from august_jax.physics.array import AntennaArray, PlanarArray, wavenumber
-from august_jax.physics.checks import check_finite
+from august_jax.physics.checks import check_finite, settled
 from august_jax.physics.green import path_difference
 from august_jax.schemes.answer import Answer, Ask, Scheme, Setting, Slots
 from august_jax.signal.roi import Coefficients, Subspace, project
@@ -198,10 +198,11 @@ def locate(
         raise ValueError(f"reach_m: got {reach_m:g} m, which leaves nothing to look at; give s, above 0")
     for name, value in (("channel", channel), ("predicted", predicted)):
         check_finite(name, value, "leave that slot out")
+    predicted = jnp.asarray(settled("predicted", predicted))
     middle = np.asarray(array.positions).mean(axis=0)
     if nearest_m is None:
         nearest_m = float(np.linalg.norm(np.asarray(predicted) - middle))
-    response = _response(channel, jnp.asarray(predicted), array, tuple(frequencies_hz))
+    response = _response(channel, predicted, array, tuple(frequencies_hz))
     counts = grid_counts(array, tuple(frequencies_hz), nearest_m, reach_m)
     offset = jnp.asarray(middle, predicted.dtype)
     found = _located(response, predicted - offset, jnp.asarray(reach_m, predicted.dtype), counts)

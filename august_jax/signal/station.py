@@ -19,7 +19,7 @@ from jaxtyping import Complex, Float, Int
 from august_jax.arrays import Array, ArrayLike
 from august_jax.config import ArrayConfig, Config, RegionConfig, SignalConfig
 from august_jax.physics.array import PlanarArray
-from august_jax.physics.checks import check_finite
+from august_jax.physics.checks import check_finite, settled
 from august_jax.signal import beams, roi
 from august_jax.signal.estimators import ESTIMATORS, Region, roi_coefficients
 from august_jax.signal.noise import energy, snr_above_noise, white_noise
@@ -137,6 +137,7 @@ def observe(
         ValueError: shapes that do not fit, numbers that are not finite, or not exactly one of ``snr_db`` and
             ``power_dbm``.
     """
+    predicted = jnp.asarray(settled("predicted", predicted))
     _check(channel, predicted, array, snr_db, power_dbm)
     if signal.estimator == "lmmse_roi":  # formed in the subspace, where it lives
         seen = observe_region(
@@ -211,6 +212,7 @@ def observe_region(
     subspace = Subspace.from_config(array)
     if isinstance(channel, Coefficients):
         _check_coefficients(channel, signal, subspace)
+    predicted = jnp.asarray(settled("predicted", predicted))
     _check(channel, predicted, array, snr_db, power_dbm)
     if signal.estimator != "lmmse_roi":
         assert not isinstance(channel, Coefficients)

@@ -16,7 +16,7 @@ from jaxtyping import Float, Int
 
 from august_jax.arrays import Array
 from august_jax.config import FlightConfig
-from august_jax.tracking.predictors.protocol import Prediction
+from august_jax.tracking.predictors.protocol import Prediction, real
 
 GAINS = ((1.0, 0.0, 0.0), (2.0, -1.0, 0.0), (2.5, -2.0, 0.5))
 """Weights of the latest, last but one and last but two positions, where one, two, or three and more are known."""
@@ -51,7 +51,7 @@ class FiniteDifference:
 
     def start(self, position: Float[Array, "3"]) -> Past:
         """See :class:`Predictor`."""
-        return Past(jnp.tile(position, (3, 1)), jnp.asarray(1, jnp.int32))
+        return Past(jnp.tile(real(position), (3, 1)), jnp.asarray(1, jnp.int32))
 
     def predict(self, state: Past) -> tuple[Past, Prediction]:
         """See :class:`Predictor`."""

@@ -20,7 +20,7 @@ from jaxtyping import Float
 
 from august_jax.arrays import Array, ArrayLike
 from august_jax.config import FlightConfig
-from august_jax.tracking.predictors.protocol import ESTIMATE_M, Prediction
+from august_jax.tracking.predictors.protocol import ESTIMATE_M, Prediction, real
 
 _JERK_DENSITY = {"smooth": 1.0, "dynamic": 90.0, "jump": 90.0}
 """J [m^2/s^5] by style of flight: 2 sigma_a^2 / tau of the flights."""
@@ -68,7 +68,7 @@ class Kalman:
 
     def start(self, position: Float[Array, "3"]) -> Motion:
         """See :class:`Predictor`."""
-        position = jnp.asarray(position)
+        position = real(position)
         mean = jnp.zeros((3, 3), position.dtype).at[0].set(position)
         spreads = jnp.array([self.noise_m, self.velocity_m_s, self.acceleration_m_s2], position.dtype)
         return Motion(mean, jnp.diag(jnp.repeat(spreads**2, 3)))

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Float
+from jaxtyping import Float, Num
 
 from august_jax.arrays import Array
 
@@ -56,6 +56,12 @@ class Predictor(Protocol):
         ...
 
 
+def real(positions: Num[Array, "*slots 3"]) -> Float[jax.Array, "*slots 3"]:
+    """Places (..., 3) [m] as real numbers: whole ones would round all that follows."""
+    positions = jnp.asarray(positions)
+    return positions if jnp.issubdtype(positions.dtype, jnp.floating) else positions.astype(jnp.float32)
+
+
 def predict_next(predictor: Predictor, positions: Float[Array, "slots 3"]) -> Prediction:
     """The next position from past estimates (T, 3) [m], oldest first, T >= 1.
 
@@ -64,7 +70,7 @@ def predict_next(predictor: Predictor, positions: Float[Array, "slots 3"]) -> Pr
     """
     if positions.ndim != 2 or positions.shape[-1] != 3 or positions.shape[0] < 1:
         raise ValueError(f"positions: got shape {positions.shape}; give one past position or more, (T, 3) in metres")
-    positions = jnp.asarray(positions)
+    positions = real(positions)
 
     def slot(state: State, position: jax.Array) -> tuple[State, None]:
         return predictor.update(predictor.predict(state)[0], position), None
