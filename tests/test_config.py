@@ -9,7 +9,7 @@ import pytest
 from august_jax import config as configuration
 from august_jax.app.cli import COMMANDS
 from august_jax.app.cli.parser import parse
-from august_jax.config import ConfigError, check_data, check_weights, override, preset, schema, training_config
+from august_jax.config import ConfigError, check_data, check_weights, override, preset, presets, schema, training_config
 
 
 @pytest.mark.parametrize("name", configuration.PRESETS)
@@ -185,6 +185,24 @@ def test_training_takes_from_the_data_what_they_are_made_of():
     assert config.model == preset("smoke").model
     # observed anew in every step: the estimator is the training's to choose
     assert training_config(DATA, ["signal.estimator=ls"]).signal.estimator == "ls"
+
+
+@pytest.mark.parametrize(
+    "changes, assignments",
+    [
+        (["target.points=12", "train.points=8"], ["train.points=12"]),
+        (["data.observed=false", "train.reobserve=true"], ["train.reobserve=true"]),
+    ],
+)
+def test_training_may_give_what_its_data_ask_for(changes, assignments, monkeypatch):
+    """The preset's own training does not fit these data; with what is assigned it does."""
+    stored = override(preset("smoke"), ["data.observed=true", "train.reobserve=false"])
+    other = dataclasses.replace(presets.PRESETS["smoke"], build=lambda: stored)
+    monkeypatch.setitem(presets.PRESETS, "smoke", other)
+    config = training_config(override(stored, changes), assignments)
+    assert config.train.points <= config.target.points and (config.data.observed or config.train.reobserve)
+    with pytest.raises(ConfigError, match=assignments[0].partition("=")[0]):
+        training_config(override(stored, changes))
 
 
 @pytest.mark.parametrize(

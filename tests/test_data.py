@@ -286,6 +286,7 @@ def test_the_manifest_is_json_that_says_what_is_there(folder):
         (np.array([True, False]), "bool"),
         (np.array([0.5]), "float64"),
         (np.array([48]), "out of range"),
+        (np.array([], int), "got none"),
         (np.array([-49]), "out of range"),
         (np.array([[1]]), "shape"),
     ],

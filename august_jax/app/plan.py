@@ -40,19 +40,20 @@ def simulation(config: Config, out: Path, part: tuple[int, int] = (1, 1)) -> Pla
         ``rows`` of the whole set, ``rows_here`` that are there already, ``rows_left`` of this part, ``shards_left``,
         ``disk_bytes``, ``free_bytes``, ``memory_bytes``, ``seconds`` (None for a solver without a known rate) and
         ``factoring_seconds`` at most.
+
+    Raises:
+        DataError: what ``august simulate`` would refuse, too.
     """
-    from august_jax.data import bytes_of, read_manifest
-    from august_jax.data.shards import shard_name
+    from august_jax.data import bytes_of
+    from august_jax.data.shards import missing_shards
 
     count, size = config.data.count, config.data.shard_rows
-    there = read_manifest(out)["shards"] if (out / "manifest.json").exists() else {}
-    numbers = [number for number in range(-(-count // size)) if number % part[1] == part[0] - 1]
-    left = {number: min(size, count - number * size) for number in numbers if shard_name(number) not in there}
-    rows = sum(left.values())
+    everywhere, left = missing_shards(config, out), missing_shards(config, out, part=part)
+    rows = sum(high - low for low, high in left.values())
     rate = _rate(config)
     return {
         "rows": count,
-        "rows_here": sum(high - low for low, high in there.values()),
+        "rows_here": count - sum(high - low for low, high in everywhere.values()),
         "rows_left": rows,
         "shards_left": len(left),
         "disk_bytes": bytes_of(config, rows),
@@ -134,11 +135,16 @@ def evaluation(config: Config, networks: int, schemes: list[str] | None) -> Plan
     Returns:
         ``samples``, ``snr_db``, ``asked`` (schemes), ``searched`` slots in all, ``seconds`` at least (None for a solver
         without a known rate), ``search_seconds``, ``factoring_seconds`` at most, ``memory_bytes``.
+
+    Raises:
+        ValueError: an unknown scheme.
+        ConfigError: nobody is left to ask.
     """
     from august_jax.data import bytes_of
+    from august_jax.evaluation.evaluate import asked_of
     from august_jax.schemes import SCHEMES
 
-    asked = [name for name in SCHEMES if schemes is None or name in schemes]
+    asked = asked_of(config, schemes)
     evaluate, levels = config.evaluate, len(config.evaluate.snr_db)
     slow = [name for name in asked if SCHEMES[name].slow]
     searched = len(slow) * levels * min(evaluate.searched, evaluate.count)

@@ -125,7 +125,8 @@ class FlightConfig(Section):
     box_m: tuple[_Side, _Side, _Side] = ((10.0, 30.0), (10.0, 30.0), (10.0, 20.0))
     """Where they stay: ends along x, y and z [m]."""
     style: Style = "smooth"
-    """How agile they are."""
+    """``smooth``: slow and tilted little; ``dynamic``: up to the tilt limit; ``jump``: straight, with instant turns
+    that no craft can fly (august_jax/scene/trajectory.py)."""
     slots: Annotated[int, within(1, 100_000)] = 50
     """Slots of a flight."""
     slot_s: Annotated[float, within(1e-3, 60.0, "s")] = 0.2
@@ -159,7 +160,7 @@ class SignalConfig(Section):
     """Pilots, power, noise and the channel estimator (paper, Sections II-A and II-B)."""
 
     beam_width_deg: Annotated[tuple[float, float], within(0.1, 180.0, "degrees")] = (30.0, 30.0)
-    """Full widths of the RoI sector in azimuth and elevation [deg]."""
+    """Full widths of the region's sector in azimuth and elevation [deg]."""
     mirror_beams: bool = False
     """True: the sign that the paper prints, which points at the mirror direction."""
     symbols: Annotated[int, within(0, 1_000_000)] = 0
@@ -210,7 +211,7 @@ class ModelConfig(Section):
     scheme: NetworkScheme = "august"
     """Which of the compared networks."""
     encoder: Encoder = "paper"
-    """``paper``: linear map of vec(H); ``roi``: the RoI's field subspace."""
+    """``paper``: linear map of vec(H); ``roi``: the region's field subspace."""
     channel_features: _Width = 256
     """d_v = d_p, width of the embedded channel vector."""
     encoder_features: _Width = 512

@@ -18,17 +18,19 @@ from august_jax.config.schema import Config
 _SUMMED = re.compile(r"# check sum of the lines below: ([0-9a-f]{16})\n")
 
 
-def override(config: Config, assignments: Sequence[str]) -> Config:
+def override(config: Config, assignments: Sequence[str], sections: Mapping[str, Any] | None = None) -> Config:
     """Apply dotted assignments such as ``train.steps=2000`` in order.
 
     Args:
         config: what they change.
         assignments: the values are YAML.
+        sections: to stand in the place of ``config``'s before anything is assigned; what fields owe each other is asked
+            of the outcome alone.
 
     Raises:
         ConfigError: names the field, the value and what was wanted.
     """
-    tree = to_dict(config)
+    tree = to_dict(config) | {name: _plain(section) for name, section in (sections or {}).items()}
     for text in assignments:
         path, separator, raw = (part.strip() for part in text.partition("="))
         if not separator:
@@ -52,7 +54,11 @@ def override(config: Config, assignments: Sequence[str]) -> Config:
 
 def to_dict(config: Config) -> dict[str, Any]:
     """Nested dictionaries and lists, fit for YAML and JSON."""
-    tree: dict[str, Any] = json.loads(json.dumps(dataclasses.asdict(config)))
+    return _plain(config)
+
+
+def _plain(section: Any) -> dict[str, Any]:
+    tree: dict[str, Any] = json.loads(json.dumps(dataclasses.asdict(section)))
     return tree
 
 

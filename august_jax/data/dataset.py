@@ -92,7 +92,7 @@ class Dataset:
             observed: with what the base station made of them, where it was kept.
 
         Raises:
-            ValueError: places that are no row numbers, or out of range.
+            ValueError: places that are no row numbers, out of range, or none.
             DataError: a row is damaged, or holds numbers that are not finite.
         """
         places = np.asarray(places)
@@ -101,7 +101,9 @@ class Dataset:
                 f"places: got {places.dtype} of shape {places.shape}; give row numbers (n,), of a mask m "
                 "np.flatnonzero(m)"
             )
-        if places.size and not -self.count <= places.min() <= places.max() < self.count:
+        if not places.size:
+            raise ValueError("places: got none; give the numbers of one row or more")
+        if not -self.count <= places.min() <= places.max() < self.count:
             raise ValueError(
                 f"places: {places.min()} to {places.max()} are out of range; the rows are 0 to {self.count - 1}"
             )

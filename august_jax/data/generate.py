@@ -64,13 +64,15 @@ def generate(
         mesh: devices that share the rows; None takes :func:`~august_jax.mesh.own_accelerators`.
 
     Raises:
-        ValueError: targets whose tables do not hold all that this configuration's craft may be.
+        ValueError: no rows; targets whose tables do not hold all that this configuration's craft may be.
         FloatingPointError: a channel or an observation is not finite; names the row and the craft.
     """
     for target in targets:
         if target.table is not None:
             check_table(config, target.table)
     rows = np.asarray(rows, np.int64)
+    if not rows.size:
+        raise ValueError("rows: got none; give the numbers of one row or more")
     seed = config.data.seed if seed is None else seed
     slots, kinds = config.flight.slots, len(config.target.airframes)
     numbers, place = np.unique(rows // slots, return_inverse=True)

@@ -91,25 +91,17 @@ def simulate(
         raise ValueError(f"part: got {index}/{parts}; give i/n with 1 <= i <= n, e.g. 2/4")
     folder = Path(folder)
     digest = identity(config)
-    count, size = config.data.count, config.data.shard_rows
-    spans = {number: (start, min(start + size, count)) for number, start in enumerate(range(0, count, size))}
     began = time.perf_counter()
     with _sharing(folder, part):
-        _check_same(folder, config, digest)
-        missing = [
-            number
-            for number in spans
-            if number % parts == index - 1 and not _complete(folder / shard_name(number), spans[number], digest, verify)
-        ]
-        written, total = 0, sum(spans[number][1] - spans[number][0] for number in missing)
+        missing = missing_shards(config, folder, part=part, verify=verify)
+        written, total = 0, sum(high - low for low, high in missing.values())
         _check_room(folder, config, total, progress)
         targets = prepare_targets(config, progress) if missing else []
         errors = _table_errors(config, targets)
         with occupying(folder, wait=True):  # of two parts that begin at once, each sees what the other is of
             _check_same(folder, config, digest)
             _write_manifest(folder, config, digest, errors)
-        for done, number in enumerate(missing, 1):
-            low, high = spans[number]
+        for done, (number, (low, high)) in enumerate(missing.items(), 1):
             pieces = []
             for start in range(low, high, _PIECE):
                 rows = np.arange(start, min(start + _PIECE, high))
@@ -127,6 +119,24 @@ def simulate(
         manifest = read_manifest(folder)
     seconds = time.perf_counter() - began
     return manifest | {"written": written, "seconds": seconds, "samples_per_s": written / max(seconds, 1e-9)}
+
+
+def missing_shards(
+    config: Config, folder: Path, *, part: tuple[int, int] = (1, 1), verify: bool = False
+) -> dict[int, tuple[int, int]]:
+    """Number of each shard that :func:`simulate` would make, with its rows, the first one and the end.
+
+    Raises:
+        DataError: the folder holds data of another configuration, or more than are asked for.
+    """
+    digest, count, size = identity(config), config.data.count, config.data.shard_rows
+    _check_same(folder, config, digest)
+    spans = {number: (start, min(start + size, count)) for number, start in enumerate(range(0, count, size))}
+    return {
+        number: span
+        for number, span in spans.items()
+        if number % part[1] == part[0] - 1 and not _complete(folder / shard_name(number), span, digest, verify)
+    }
 
 
 @contextmanager

@@ -81,12 +81,12 @@ def evaluate(
 
     Raises:
         ValueError: an unknown scheme, no networks, or a name that a scheme has.
-        ConfigError: networks that were trained for another array, region or flight box than ``config`` is of; names
-            them.
+        ConfigError: nobody is left to ask; networks that were trained for another array, region or flight box than
+            ``config`` is of; names them.
     """
-    chosen = _chosen(schemes)
     several = _fitted(networks, config)
     config = next(iter(several.values())).config
+    chosen = asked_of(config, schemes)
     count = config.evaluate.count
     targets = prepare_targets(config, progress)
     progress(f"simulating {count} samples")
@@ -161,15 +161,33 @@ class _Fitted(NamedTuple):
     label: str
 
 
-def _chosen(schemes: Sequence[str] | None) -> list[str]:
-    """Names of the schemes to ask, in the registry's order."""
+def asked_of(config: Config, schemes: Sequence[str] | None = None) -> list[str]:
+    """Names of the schemes that :func:`evaluate` asks under a configuration, in the registry's order.
+
+    Args:
+        config: without bodies, or with ``evaluate.searched=0``, nobody searches.
+        schemes: which are wanted; None wants all.
+
+    Raises:
+        ValueError: an unknown scheme.
+        ConfigError: nobody is left to ask.
+    """
     for name in schemes or ():
         if name not in SCHEMES:
             hint = near(name, list(SCHEMES))
             raise ValueError(
                 f"schemes: unknown scheme {name!r}; {hint + ' ' if hint else ''}choose of {', '.join(SCHEMES)}"
             )
-    return [name for name in SCHEMES if schemes is None or name in schemes]
+    wanted = [name for name in SCHEMES if schemes is None or name in schemes]
+    searches = config.evaluate.searched > 0 and config.data.dense_solver == "mom"
+    asked = [name for name in wanted if searches or not SCHEMES[name].slow]
+    if not asked:
+        raise ConfigError(
+            f"schemes: {', '.join(wanted) or 'none'} leaves nobody to ask under evaluate.searched="
+            f"{config.evaluate.searched} and data.solver={config.data.solver}; a search wants some slots and bodies "
+            "(mom or table)"
+        )
+    return asked
 
 
 def _fitted(networks: Networks | Mapping[str, Networks], config: Config) -> dict[str, _Fitted]:
@@ -228,10 +246,8 @@ def _in_pieces(ask: Ask, key: jax.Array, slots: Slots, together: int, where: str
     return jax.tree.map(lambda *parts: jnp.concatenate(parts), *answers)
 
 
-def _library(config: Config, targets: Sequence[Target], progress: Progress) -> Library | None:
-    """The configuration's own craft to search among; None where nobody searches, or there are no bodies."""
-    if not config.evaluate.searched or config.data.dense_solver != "mom":
-        return None
+def _library(config: Config, targets: Sequence[Target], progress: Progress) -> Library:
+    """The configuration's own craft to search among."""
     try:
         return known_craft(config, targets, progress=progress)
     except ValueError as error:
