@@ -19,8 +19,8 @@ import socket
 import time
 import zipfile
 import zlib
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from tokenize import TokenError
 from typing import Any
@@ -91,6 +91,19 @@ def replacing(path: str | Path) -> Iterator[Path]:
         aside.unlink(missing_ok=True)
         _UNFINISHED.discard(aside)
         os.close(held)
+
+
+@contextmanager
+def replacing_together(folder: str | Path, names: Sequence[str]) -> Iterator[dict[str, Path]]:
+    """Name -> temporary path, for the files of one result, which take their places when the block ends well.
+
+    The folder is held meanwhile. All are written before any takes its place, and the first of the names comes last:
+    where it is missing, the process was stopped between the files of two results.
+    """
+    folder = Path(folder)
+    with occupying(folder, wait=True), ExitStack() as whole:
+        yield {name: whole.enter_context(replacing(folder / name)) for name in names}
+        (folder / names[0]).unlink(missing_ok=True)
 
 
 @contextmanager

@@ -130,7 +130,7 @@ SAMPLE = {
 @pytest.mark.parametrize("kind", READERS)
 def test_a_record_says_units_and_axes(tmp_path, kind):
     path = tmp_path / f"record.{kind}"
-    export.write_record(path, SAMPLE, described=True)
+    export.write_record(path, SAMPLE, described=export.DESCRIBED)
     units, axes = texts(path, "units"), texts(path, "axes")
     assert set(units) == set(axes) == set(SAMPLE) - {"note"}
     assert (units["points"], axes["points"], axes["snr_db"]) == ("m", "point x xyz", "one number")
@@ -145,7 +145,7 @@ def test_every_array_of_a_slot_and_of_a_sample_is_described():
 
 @pytest.mark.skipif(shutil.which("octave") is None, reason="no Octave here")
 def test_octave_reads_what_the_axes_say(tmp_path):
-    export.write_record(tmp_path / "record.mat", SAMPLE, described=True)
+    export.write_record(tmp_path / "record.mat", SAMPLE, described=export.DESCRIBED)
     told = (
         "load record.mat; printf('%d ', size(true_channel)); printf('|%s|%.6f', axes.points, imag(true_channel(2,1,3)))"
     )

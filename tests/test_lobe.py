@@ -19,7 +19,8 @@ def entries(azimuth=AZIMUTH, elevation=ELEVATION):
 
 def written(path, title="a craft", azimuth=AZIMUTH, elevation=ELEVATION, **given):
     craft = np.random.default_rng(1).normal(0.0, 0.1, (20, 3))
-    lobe.write_lobe(path, azimuth, elevation, HERTZ, given or entries(azimuth, elevation), craft, title=title, lead="x")
+    values = given or entries(azimuth, elevation)
+    lobe.write_lobe(path, azimuth, elevation, HERTZ, values, craft, title=title, lead="x", repeat="august rcs x <y>")
     page = path.read_text(encoding="utf-8")
     payload = json.loads(re.search(r'<script type="application/json" id="payload">(.*?)</script>', page, re.S)[1])
     return page, payload, craft
@@ -35,7 +36,7 @@ def test_cross_sections_and_craft_come_back_from_the_page(tmp_path):
         for tone, text in enumerate(payload["entries"][name]):
             found = integers(text).reshape(len(ELEVATION), len(AZIMUTH)) * lobe.STEP_DB
             np.testing.assert_allclose(found, values[..., tone], atol=0.51 * lobe.STEP_DB)
-    assert payload["frequency_hz"] == list(HERTZ)
+    assert payload["frequency_hz"] == list(HERTZ) and payload["repeat"] == "august rcs x <y>"
     reach = np.linalg.norm(craft, axis=1).max()
     np.testing.assert_allclose(integers(payload["craft"]).reshape(-1, 3) / 32767, craft / reach, atol=1e-4)
     assert not re.search(r"(src|href)\s*=|https?://|@import|url\(|fetch\(|XMLHttpRequest", page)

@@ -1,6 +1,7 @@
 """The report: one offline file whose payload holds the clouds to the tenth of a millimetre."""
 
 import base64
+import dataclasses
 import json
 import re
 
@@ -47,6 +48,17 @@ def test_clouds_come_back_from_the_page(tmp_path):
     np.testing.assert_allclose(
         1.5 + 3.5 * levels / 255, np.clip(track.point_permittivity[0], 1.5, 5.0), atol=0.51 * 3.5 / 255
     )
+
+
+def test_a_cloud_that_is_lost_is_drawn_where_it_is(tmp_path):
+    """Farther off than 16-bit integers of a tenth of a millimetre reach."""
+    track = made_up_track(1)
+    track = dataclasses.replace(track, points=track.points + np.float32([0.0, 5.0, 0.0]))
+    page = payload(write(tmp_path / "report.html", track))
+    steps = np.frombuffer(base64.b64decode(page["slots"][0]["points"]), "<i2").reshape(-1, 3)
+    found = steps * page["quantum_m"] + track.position[0]
+    np.testing.assert_allclose(found, track.points[0], atol=0.51 * page["quantum_m"])
+    assert report.QUANTUM_M < page["quantum_m"] < 2.0 * report.QUANTUM_M
 
 
 def test_hypotheses_of_a_search_come_back_from_the_page(tmp_path):

@@ -278,6 +278,9 @@ def test_weights_come_back_in_full_or_half_precision(tmp_path):
     layout, state = initial_state(CONFIG)
     arrays = layout.arrays(np.asarray(state.params))
     save_weights(tmp_path / "full.npz", arrays)
+    save_weights(tmp_path / "bare", arrays)  # a name without the suffix is a name
+    assert {path.name for path in tmp_path.iterdir()} == {"full.npz", "bare"}
+    assert (tmp_path / "bare").read_bytes() == (tmp_path / "full.npz").read_bytes()
     save_weights(tmp_path / "half.npz", arrays, half=True)
     _, full = load_weights(tmp_path / "full.npz", CONFIG)
     _, half = load_weights(tmp_path / "half.npz", CONFIG)

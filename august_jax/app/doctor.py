@@ -92,7 +92,12 @@ def _packages() -> tuple[bool, str]:
             found.append(f"{name} {version(name)}")
         except PackageNotFoundError:
             missing.append(name)
-    return not missing, "missing: " + ", ".join(missing) if missing else ", ".join(found)
+    return (
+        not missing,
+        f"missing: {', '.join(missing)}; install again: pip install -c constraints.txt ."
+        if missing
+        else ", ".join(found),
+    )
 
 
 def _settings() -> tuple[bool, str]:

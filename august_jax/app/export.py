@@ -60,8 +60,30 @@ DESCRIBED: Mapping[str, tuple[str, tuple[str, ...]]] = {
     "conductivity_s_m": ("S/m", ()),
     "half_wheelbase_m": ("m", ()),
     "transmit_deg": ("deg", ("azimuth, elevation",)),
+    "tmatrix": ("1, of time e^{-jwt}", ("frequency", "scattered wave", "incident wave")),
+    "l": ("degree", ("wave",)),
+    "m": ("order", ("wave",)),
+    "electric": ("true or false", ("wave",)),
+    "k0_rad_m": ("rad/m", ("frequency",)),
 }
 """Name of an array of a slot, a sample or a cross-section -> its unit, and its axes, the first one first."""
+DESCRIBED_DOPPLER: Mapping[str, tuple[str, tuple[str, ...]]] = {
+    "time_s": ("s", ("pulse",)),
+    **{f"channel_{name}_1_m": ("1/m, of time e^{-jwt}", ("pulse",)) for name in ("hh", "vv", "hv")},
+    "doppler_hz": ("Hz, approaching is positive", ("shift",)),
+    **{f"spectrum_{name}_1_m": ("1/m", ("shift",)) for name in ("hh", "vv", "hv")},
+    "frequency_hz": ("Hz", ()),
+    "rate_hz": ("turns/s, positive anticlockwise seen from above", ("rotor",)),
+    "hull_shift_hz": ("Hz, approaching is positive", ()),
+    "tip_shift_hz": ("Hz, at most, either way", ("rotor",)),
+    "flash_hz": ("1/s", ("rotor",)),
+    "position_m": ("m", ("xyz",)),
+    "velocity_m_s": ("m/s", ("xyz",)),
+    "permittivity": ("1", ()),
+    "conductivity_s_m": ("S/m", ()),
+    "half_wheelbase_m": ("m", ()),
+}
+"""The same of what ``august doppler`` writes."""
 _GREY = 150
 
 
@@ -139,7 +161,9 @@ def _coloured(values: np.ndarray, span: tuple[float, float]) -> np.ndarray:
     return np.where(known[:, None], np.round(colours), _GREY).astype(np.uint8)
 
 
-def write_record(path: str | Path, record: Mapping[str, Any], *, described: bool = False) -> None:
+def write_record(
+    path: str | Path, record: Mapping[str, Any], *, described: Mapping[str, tuple[str, tuple[str, ...]]] | None = None
+) -> None:
     """Write a flat mapping of arrays; the suffix of ``path`` says how: ``.npz``, ``.mat`` or ``.json``.
 
     JSON turns a complex array into ``{"real": ..., "imag": ...}`` and numbers that are not finite into null.
@@ -147,8 +171,9 @@ def write_record(path: str | Path, record: Mapping[str, Any], *, described: bool
     Args:
         path: the file.
         record: arrays by name.
-        described: also write ``units`` and ``axes``, what :data:`DESCRIBED` says of the names in the record: in MATLAB
-            structures, in JSON objects, in NPZ arrays of pairs of a name and a text.
+        described: name -> unit and axes, as :data:`DESCRIBED`; what it says of the names in the record is also written,
+            as ``units`` and ``axes``: in MATLAB structures, in JSON objects, in NPZ arrays of pairs of a name and a
+            text.
 
     Raises:
         ValueError: another suffix.
@@ -156,8 +181,8 @@ def write_record(path: str | Path, record: Mapping[str, Any], *, described: bool
     path = Path(path)
     arrays = {name: np.asarray(value) for name, value in record.items()}
     about: dict[str, dict[str, str]] = {}
-    if described:
-        known = {name: DESCRIBED[name] for name in arrays if name in DESCRIBED}
+    if described is not None:
+        known = {name: described[name] for name in arrays if name in described}
         about = {
             "units": {name: unit for name, (unit, _) in known.items()},
             "axes": {name: " x ".join(axes) or "one number" for name, (_, axes) in known.items()},

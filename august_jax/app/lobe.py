@@ -29,6 +29,7 @@ def write_lobe(
     *,
     title: str,
     lead: str,
+    repeat: str,
 ) -> None:
     """Write the page.
 
@@ -39,11 +40,13 @@ def write_lobe(
         entries: name of two polarisations, received and sent -> dBsm by elevation, azimuth and frequency.
         craft: some points of the surface (N, 3), about the craft's origin, in one unit of length.
         title, lead: heading, and the sentence below it.
+        repeat: the command line that makes it again.
     """
     reach = max(float(np.linalg.norm(craft, axis=-1).max(initial=0.0)), 1e-12)
     payload = {
         "title": title,
         "lead": lead,
+        "repeat": repeat,
         "azimuth_deg": [float(value) for value in azimuth_deg],
         "elevation_deg": [float(value) for value in elevation_deg],
         "frequency_hz": [float(value) for value in frequency_hz],

@@ -150,8 +150,9 @@ def clouds(
             _plain_box(axes, reach)
             q = points.mean(axis=0) if row else track.position[slot]
             place = f"({q[0]:.2f}, {q[1]:.2f}, {q[2]:.2f}) m"
-            axes.set_title(f"{label}\n{place}", y=1.02, fontsize=10)
-    figure.suptitle(title, x=0.01, ha="left", fontsize=12, fontweight="bold")
+            off = 100.0 * np.linalg.norm((q if row else track.predicted[slot]) - track.position[slot])
+            axes.set_title(f"{label}\n{place}\n{'' if row else 'predicted '}{off:.0f} cm off", y=1.02, fontsize=9.5)
+    figure.suptitle(f"{title}; metres about the true place", x=0.01, ha="left", fontsize=12, fontweight="bold")
     bar = figure.colorbar(drawn, ax=panels, shrink=0.5, pad=0.02, aspect=28)
     bar.set_label("relative permittivity")
     bar.outline.set_visible(False)

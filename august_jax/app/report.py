@@ -2,8 +2,8 @@
 
 The page is ``viewer.html`` with the numbers put in as JSON. It needs nothing else, fits a telephone and a wide screen,
 follows the reader's light or dark scheme, and does by key what it does by hand. Points go in as 16-bit integers of
-``QUANTUM_M`` about the true position of their slot, materials as bytes of their range, so that fifty slots of a
-thousand points stay below 1.5 MB.
+``QUANTUM_M``, or of more where the farthest point asks for it, about the true position of their slot, materials as
+bytes of their range, so that fifty slots of a thousand points stay below 1.5 MB.
 """
 
 from __future__ import annotations
@@ -59,10 +59,16 @@ def write_report(
         scheme: name of the one that made the clouds, and what it is called in charts.
         hypotheses: slot -> surfaces of the hypotheses that its entry of the scores tells of, in their order.
     """
-    hypotheses = hypotheses or {}
     ranges = {"permittivity": list(permittivity), "conductivity": list(conductivity)}
     about = track.position[:, None, :]
     truth, cloud = track.truth - about, track.points - about
+    guessed = {
+        index: [np.asarray(each.points) - track.position[index] for each in several]
+        for index, several in (hypotheses or {}).items()
+    }
+    drawn = [truth, cloud, *(points for several in guessed.values() for points in several)]
+    farthest = max(float(np.abs(points).max(initial=0.0)) for points in drawn)
+    quantum_m = max(QUANTUM_M, farthest / 32767.0)  # of a lost cloud, which the page would move nearer
     reach = float(np.quantile(np.linalg.norm(truth, axis=-1), 0.999)) * 1.25
     bearing = track.position[-1]
     payload = {
@@ -75,7 +81,7 @@ def write_report(
         "configuration": configuration,
         "bound": scores.get("bound"),
         "range": ranges,
-        "quantum_m": QUANTUM_M,
+        "quantum_m": quantum_m,
         "reach_m": reach,
         "grid_m": next((step for step in (0.02, 0.05, 0.1, 0.2, 0.5) if step > reach / 4), 1.0),
         # from the base station's side, turned a little and lifted, so that rotors and legs both show
@@ -85,13 +91,11 @@ def write_report(
         "slots": [
             {
                 **slot,
-                "true_points": _coordinates(truth[index]),
-                "points": _coordinates(cloud[index]),
+                "true_points": _coordinates(truth[index], quantum_m),
+                "points": _coordinates(cloud[index], quantum_m),
                 "point_permittivity": _levels(track.point_permittivity[index], permittivity),
                 "point_conductivity": _levels(track.point_conductivity[index], conductivity),
-                "hypothesis_points": [
-                    _coordinates(np.asarray(each.points) - track.position[index]) for each in hypotheses.get(index, ())
-                ],
+                "hypothesis_points": [_coordinates(points, quantum_m) for points in guessed.get(index, ())],
             }
             for index, slot in enumerate(scores["slots"])
         ],
@@ -99,8 +103,8 @@ def write_report(
     write_page(path, "viewer.html", payload)
 
 
-def _coordinates(points: np.ndarray) -> str:
-    return steps_of(points / QUANTUM_M)
+def _coordinates(points: np.ndarray, quantum_m: float) -> str:
+    return steps_of(points / quantum_m)
 
 
 def _levels(values: np.ndarray, span: tuple[float, float]) -> str:

@@ -16,7 +16,6 @@ H = k^2 M^T D V (I - k^2 G D V)^{-1} M for solid cells; see :mod:`august_jax.phy
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Sequence
 from typing import Literal, get_args
 
@@ -25,6 +24,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Complex
 
+from august_jax import memory
 from august_jax.arrays import Array, ArrayLike
 from august_jax.physics.array import AntennaArray, PlanarArray, wavenumber
 from august_jax.physics.cells import Cells
@@ -194,7 +194,8 @@ def _microbatch(count: int, dtype) -> int:
     if "bytes_limit" in statistics:
         free = statistics["bytes_limit"] - statistics.get("bytes_in_use", 0)
     else:
-        free = os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+        found = memory.memory()
+        free = 2**31 if found is None else found.free
     each = 2 * (3 * count) ** 2 * 2 * jnp.dtype(dtype).itemsize
     return int(np.clip(0.25 * free // each, 1, 16))
 

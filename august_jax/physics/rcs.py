@@ -103,6 +103,8 @@ def scattering_matrix(
     Warns as :func:`body_channel` does of contrasts that cells or the reduction are not made for.
     """
     receive = _directions("receive", receive)
+    if receive.ndim != 2 or not len(receive):
+        raise ValueError(f"receive: got shape {receive.shape}; give unit vectors (D, 3), one or more")
     ways = (receive,)  # one where both ends are
     if transmit is not None:
         ways += (jnp.broadcast_to(_directions("transmit", transmit), receive.shape),)

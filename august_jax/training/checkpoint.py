@@ -176,8 +176,9 @@ def save_weights(path: str | Path, state: State, *, half: bool = False) -> None:
     for name, leaf in arrays.items():
         if not np.isfinite(leaf).all():
             raise ValueError(f"state: {name} holds values that are not finite{' in float16' * half}; nothing written")
-    with replacing(path) as aside:
-        np.savez(aside, **arrays)  # type: ignore[arg-type]
+    # into an open file: to a path without the suffix NumPy would add it, and write beside what takes the place
+    with replacing(path) as aside, aside.open("wb") as file:
+        np.savez(file, **arrays)  # type: ignore[arg-type]
 
 
 def load_weights(path: str | Path, config: Config) -> tuple[nnx.GraphDef, State]:

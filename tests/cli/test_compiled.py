@@ -7,7 +7,7 @@ import zlib
 
 import pytest
 
-from august_jax.app import compiled
+from august_jax.app import compiled, machine
 
 PROGRAM = """
 from august_jax.app.compiled import keep_compiled
@@ -35,6 +35,16 @@ def test_a_second_process_finds_what_the_first_compiled(tmp_path):
     assert first[0].startswith(str(tmp_path / "compiled")) and any("slow" in path.name for path in kept)
     assert processed(tmp_path, **anything) == first
     assert {path for path in (tmp_path / "compiled").rglob("*") if path.is_file()} == set(kept)
+
+
+def test_processors_of_other_instructions_keep_programs_apart(monkeypatch):
+    """A program for one may end a process on the other with an illegal instruction."""
+    marks = []
+    for flags, clock in (("fpu sse avx2", "2500"), ("fpu sse avx2", "3100"), ("fpu sse avx2 avx512f", "2500")):
+        listed = ["model name\t: One of many", f"flags\t\t: {flags}", f"cpu MHz\t\t: {clock}", "processor\t: 0"]
+        monkeypatch.setattr(machine, "_listed", lambda lines=listed: lines)
+        marks.append(machine.processor_mark())
+    assert marks[0] == marks[1] != marks[2] and all(len(mark) == 12 for mark in marks)
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 """``august doppler``: the hull's line where 2 v/lambda has it, files that hold the same, refusals with the way out."""
 
 import json
+import shlex
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ import scipy.io
 from test_experiments import assert_ink
 
 from august_jax.app import cli
+from august_jax.app.cli.parser import parse
 from august_jax.constants import SPEED_OF_LIGHT
 
 
@@ -16,7 +18,8 @@ def test_a_craft_that_comes_nearer_is_heard_higher_and_every_file_says_so(tmp_pa
     asked = "--velocity 0,-8,0 --position 0,9,0 --seconds 0.05 --pulses 4000 --rate 80 --json"
     words = ["doppler", "quad_x", "--preset", "smoke", "target.cell_m=0.05", *asked.split(), "--out", str(tmp_path)]
     assert cli.main(words) == 0
-    said = json.loads(capsys.readouterr().out)
+    told = capsys.readouterr()
+    said = json.loads(told.out)
     assert said["hull_shift_hz"] == pytest.approx(2.0 * 8.0 * 3e9 / SPEED_OF_LIGHT)
     assert abs(said["strongest_hz"] - said["hull_shift_hz"]) < 1.0 / 0.05
     assert said["flash_hz"] == [160.0] * 4 and said["pulses"] == 200
@@ -24,6 +27,12 @@ def test_a_craft_that_comes_nearer_is_heard_higher_and_every_file_says_so(tmp_pa
     assert stored["tip_shift_hz"].max() == pytest.approx(said["tip_shift_hz"])
     matlab = scipy.io.loadmat(tmp_path / "doppler.mat", squeeze_me=True)
     np.testing.assert_array_equal(matlab["channel_hh_1_m"], stored["channel_hh_1_m"])
+    assert (str(matlab["units"]["time_s"]), str(matlab["axes"]["time_s"])) == ("s", "pulse")
+    assert str(matlab["axes"]["rate_hz"]) == "rotor" and said["command_line"] == str(matlab["command_line"])
+    (line,) = (line for line in told.err.splitlines() if line.startswith("next:"))
+    following = parse(shlex.split(line.removeprefix("next:").partition("#")[0])[1:], cli.COMMANDS)
+    assert (following.rate, following.position, following.pulses) == ((80.0,), (0.0, 9.0, 0.0), 4000.0)
+    assert following.velocity == (0.0, -10.0, 0.0) and following.overrides == ["target.cell_m=0.05"]
     # the spectrum is that of the series: sums over e^{+2 pi j nu t}, Parseval's of the window apart
     window = np.hanning(202)[1:-1]
     wanted = np.exp(2j * np.pi * np.outer(stored["doppler_hz"], stored["time_s"])) @ (window * stored["channel_vv_1_m"])

@@ -25,7 +25,7 @@ CASES = {
     "huge flight": ("demo --slots 1000000000", ["--slots", "from 1 to 100000"]),
     "huge seed": ("demo --seed 99999999999999999999", ["--seed", "2147483647"]),
     "unknown style of flight": ("track --style loops", ["--style", "'loops'", "smooth", "dynamic", "jump"]),
-    "flight too short to follow": ("track --preset smoke --slots 3", ["--slots: 3", "too short", "4 or more"]),
+    "flight too short to follow": ("track --preset smoke --slots 3", ["--slots", "'3'", "from 4 to 100000"]),
     "unknown scheme to follow": ("track --scheme agust", ["--scheme: 'agust' is no scheme", "did you mean 'august'?"]),
     "scheme without a place": (
         "track --scheme up",
@@ -38,7 +38,10 @@ CASES = {
     "predictor that is not asked": ("track --predictor kalman", ["--predictor: matched_field", "leave it out"]),
     "run that is not asked": ("track --scheme polar --run one", ["--run: polar asks no networks", "--scheme august"]),
     "no such run to follow": ("track --scheme august --run {tmp}/nowhere", ["{tmp}/nowhere", "august train"]),
-    "flight too short for a loop": ("track --preset smoke --scheme polar --slots 3", ["--slots: 3", "4 or more"]),
+    "flight too short for a loop": (
+        "track --preset smoke --scheme polar --slots 3",
+        ["--slots", "'3'", "from 4 to 100000"],
+    ),
     "predictor of other slots": (
         "track --preset smoke --scheme polar flight.slot_s=0.1",
         ["flight.slot_s: 0.1 s", "another predictor", "august train"],
@@ -87,6 +90,11 @@ CASES = {
         ["data.observed", "data.observed=true"],
     ),
     "no such run": ("evaluate {tmp}/nowhere", ["{tmp}/nowhere", "august train"]),
+    "nobody to ask": (
+        "evaluate --schemes matched_field evaluate.searched=0",
+        ["--schemes: matched_field leaves nobody to ask", "evaluate.searched=0", "a search wants some slots"],
+    ),
+    "unknown scheme in a plan": ("evaluate --dry-run --schemes foo", ["--schemes: unknown scheme 'foo'", "choose of"]),
     "unknown scheme": ("evaluate --schemes august,polr", ["--schemes: unknown scheme 'polr'", "did you mean 'polar'?"]),
     "no such run beside another": ("evaluate {tmp}/nowhere {tmp}/neither", ["{tmp}/nowhere", "august train"]),
     "no such run, as an option": ("evaluate --run {tmp}/nowhere", ["{tmp}/nowhere", "august train"]),

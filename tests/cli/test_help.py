@@ -1,13 +1,19 @@
 """Help says of every option what it takes and what it is where it is left out; shells complete them."""
 
+import re
 import shutil
 import subprocess
 
 import pytest
 
 from august_jax.app import cli
+from august_jax.app.cli.messages import worded
 from august_jax.app.cli.parser import parser_of
 from august_jax.config import describe
+from august_jax.schemes import SCHEMES
+
+PLAIN = {"--seed", "--slots", "--search", "--known", "--devices", "--index", "--shard", "--host", "--permittivity"}
+"""Numbers that have no unit."""
 
 
 def options(name):
@@ -27,6 +33,21 @@ def test_every_option_says_its_default_and_its_range(name):
             assert action.type.takes in text, f"{name} {flag}: {text}"
         else:
             assert action.type is None, f"{name} {flag}: its type does not say what it takes"
+        numeric = action.type is not None and not hasattr(action.type, "known")
+        assert not numeric or flag in PLAIN or re.search(r"\[[^\]]*(m|m/s|deg|dB|GHz|Hz|s|turns/s|S/m)\b", text), flag
+
+
+@pytest.mark.parametrize("name", cli.COMMANDS)
+def test_defaults_are_shown_as_they_are_typed(name):
+    for action, text in options(name).items():
+        if callable(action.type) and action.default is not None:
+            assert action.type(worded(action.default)) == action.default, action.option_strings[-1]
+            assert f"default {worded(action.default)}" in text or "default:" in text, f"{name}: {text}"
+
+
+def test_names_that_help_gives_are_those_that_there_are():
+    told = {action.option_strings[-1]: action.type for action in options("evaluate")}
+    assert set(told["--schemes"].known) == set(SCHEMES)
 
 
 def completed(shell, *words):

@@ -63,11 +63,21 @@ def test_simulate_has_nothing_left_to_do(capsys, home):
     assert (result["rows"], result["written"]) == (40, 0)
 
 
-def test_simulate_keeps_off_other_data(capsys, home):
-    message = refused(capsys, "simulate", "--preset", "smoke", "--out", home / "data", *SMALL, "target.skin_m=0.003")
-    assert "another configuration" in message
+@pytest.mark.parametrize("dry", [[], ["--dry-run"]])
+def test_simulate_keeps_off_other_data(capsys, home, dry):
+    words = ["simulate", "--preset", "smoke", "--out", home / "data", *SMALL, *dry]
+    assert "another configuration" in refused(capsys, *words, "target.skin_m=0.003")
+    assert "less than the 40 samples" in refused(capsys, *words, "data.count=20")
 
 
+def test_a_dry_run_counts_what_is_there(capsys, home):
+    words = ["simulate", "--preset", "smoke", "--out", home / "data", *SMALL, "--dry-run"]
+    for count, left in ((40, 0), (50, 10)):
+        found = call(capsys, *words, f"data.count={count}")
+        assert (found["rows"], found["rows_here"], found["rows_left"]) == (count, 40, left)
+
+
+@pytest.mark.slow
 def test_train_needs_no_data_for_a_stream_and_continues(capsys, tmp_path):
     words = ("train", "--preset", "smoke", "--out", tmp_path / "run", "train.source=stream", *SMALL[4:])
     first = call(capsys, *words)
@@ -248,7 +258,14 @@ def test_networks_follow_a_flight_in_the_smallest_region_that_is_large_enough(ca
         text = (tmp_path / name / "config.yaml").read_text().partition("\n")[2]  # without its check sum: it is edited
         text = text.replace("scale_m: 0.75", f"scale_m: {0.25 + threshold}")
         (tmp_path / name / "config.yaml").write_text(text.replace("threshold_m: 0.5", f"threshold_m: {threshold}"))
+    shutil.copytree(tmp_path / "wide", tmp_path / "slower")
+    text = (tmp_path / "wide" / "config.yaml").read_text().replace("slot_s: 0.2", "slot_s: 0.4")
+    (tmp_path / "slower" / "config.yaml").write_text(text)
     words = ["track", "--scheme", "august", "--predictor", "kalman", "--slots", 5, "--out", tmp_path / "out"]
+    told = refused(capsys, *words, "--run", home / "run", "--run", tmp_path / "slower")
+    assert "--run: were trained for different flights (slots of 0.2 s, dynamic; slots of 0.4 s" in " ".join(
+        told.split()
+    )
     runs = [word for run in (tmp_path / "wider", home / "run", tmp_path / "wide") for word in ("--run", run)]
     result = call(capsys, *words, *runs, "--style", "dynamic")
     assert result["weights"] == str(tmp_path / "wide") and result["predictor"] == "kalman"
@@ -399,11 +416,13 @@ def test_lines_to_try_next_hold_what_was_given(capsys, home, mesh, tmp_path, mon
         "--position",
         "4,5,3",
         "evaluate.sampler_steps=2",
+        "target.permittivity=[2,2.5]",
     )
+    assert np.load(tmp_path / "the result" / "clouds.npz")["permittivity"] == pytest.approx(2.25)  # mid-range
     another, accuracy, export = (parse(shlex.split(line)[1:], cli.COMMANDS) for line, _ in written["following"])
     assert (another.mesh, another.unit, another.up, another.forward) == (str(spaced), "mm", "z", "-y")
     assert (another.half_wheelbase, another.position, another.run) == (0.25, (4.0, 5.0, 3.0), str(home / "run"))
-    assert another.overrides == accuracy.overrides == ["evaluate.sampler_steps=2"]
+    assert another.overrides == accuracy.overrides == ["evaluate.sampler_steps=2", "target.permittivity=[2,2.5]"]
     assert accuracy.rest == [str(home / "run")] and export.rest == [str(tmp_path / "the result")]
 
 

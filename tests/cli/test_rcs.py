@@ -1,6 +1,7 @@
 """``august rcs``: files that agree with one another and with the library, and refusals with the way out."""
 
 import json
+import shlex
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ import scipy.io
 from test_experiments import assert_ink
 
 from august_jax.app import cli
+from august_jax.app.cli.parser import parse
 from august_jax.config import preset
 from august_jax.data.simulator import lattice_of
 from august_jax.physics import contrast, dbsm, looking, scattering_from_t_matrix, scattering_matrix
@@ -23,11 +25,11 @@ def found(tmp_path_factory):
     import contextlib
     import io
 
-    out, said = tmp_path_factory.mktemp("rcs"), io.StringIO()
-    with contextlib.redirect_stdout(said):
+    out, said, told = tmp_path_factory.mktemp("rcs"), io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(said), contextlib.redirect_stderr(told):
         words = ["rcs", "quad_x", *COARSE, *LOOKS, "--frequency", "2.9,3.0", "--permittivity", "3", "--out", str(out)]
         assert cli.main([*words, "--json"]) == 0
-    return out, json.loads(said.getvalue())
+    return out, json.loads(said.getvalue()) | {"told": told.getvalue()}
 
 
 @pytest.mark.filterwarnings("ignore:cells.volumes")
@@ -68,6 +70,40 @@ def test_the_summary_is_of_the_directions_by_solid_angle(found):
     assert row["mean_dbsm"] == pytest.approx(mean, abs=0.01)
 
 
+def test_units_axes_and_how_it_was_made_stand_beside_the_numbers(found):
+    out, said = found
+    matlab = scipy.io.loadmat(out / "rcs.mat", squeeze_me=True)
+    assert str(matlab["units"]["rcs_vv_dbsm"]) == "dB re 1 m^2"
+    assert str(matlab["axes"]["scattering_m"]).startswith("elevation x azimuth x frequency")
+    again = shlex.split(str(matlab["command_line"]))
+    assert again[:3] == ["august", "rcs", "quad_x"] and again[-1] == "--json"
+    assert json.loads(str(matlab["configuration"]))["target"]["cell_m"] == 0.05
+    assert said["command_line"] == str(np.load(out / "rcs.npz")["command_line"])
+    assert str(out) in (out / "rcs.html").read_text()
+
+
+def test_the_line_to_try_next_asks_for_the_same_craft_and_frequencies(found):
+    (line,) = (line for line in found[1]["told"].splitlines() if line.startswith("next:"))
+    following = parse(shlex.split(line.removeprefix("next:").partition("#")[0])[1:], cli.COMMANDS)
+    assert (following.rest, following.frequency, following.permittivity) == (["quad_x"], (2.9, 3.0), 3.0)
+    assert (following.preset, following.overrides) == ("smoke", ["target.cell_m=0.05"])
+    assert tuple(following.azimuth) == (-180.0, 180.0, 90.0) and following.transmit == (0.0, 0.0)
+
+
+@pytest.mark.filterwarnings("ignore:cells.volumes")
+def test_a_mesh_s_unit_and_axes_are_kept_and_asked_for_again(tmp_path, capsys):
+    craft = procedural_airframe("quad_x", 0.25).mesh.copy()
+    craft.apply_scale(1000.0)
+    craft.export(tmp_path / "mine.stl")
+    words = ["rcs", "--mesh", f"{tmp_path}/mine.stl", "--unit", "mm", *COARSE, "--azimuth", "0", "--elevation", "0"]
+    assert cli.main([*words, "--out", f"{tmp_path}/out"]) == 0
+    (line,) = (line for line in capsys.readouterr().out.splitlines() if line.startswith("next:"))
+    following = parse(shlex.split(line.removeprefix("next:").partition("#")[0])[1:], cli.COMMANDS)
+    assert (following.unit, following.up, following.forward) == ("mm", "z", "x")
+    kept = json.loads(str(np.load(tmp_path / "out" / "rcs.npz")["craft"]))
+    assert kept["mesh"]["unit_m"] == 0.001 and len(kept["mesh_sha256"]) == 64
+
+
 @pytest.mark.filterwarnings("ignore:cells.volumes")
 def test_the_t_matrix_beside_scatters_as_the_cross_sections_say(tmp_path):
     words = ["rcs", "quad_x", *COARSE, *LOOKS, "--frequency", "0.9,1.0", "--half-wheelbase", "0.06", "--t-matrix"]
@@ -80,6 +116,7 @@ def test_the_t_matrix_beside_scatters_as_the_cross_sections_say(tmp_path):
         np.testing.assert_allclose(found[0], stored["scattering_m"][0, 3, tone], atol=1e-3 * np.abs(found).max())
     matlab = scipy.io.loadmat(tmp_path / "tmatrix.mat", squeeze_me=True)
     np.testing.assert_array_equal(matlab["tmatrix"], matrices["tmatrix"])
+    assert str(matlab["axes"]["tmatrix"]) == "frequency x scattered wave x incident wave"
     assert len(matrices["l"]) == matrices["tmatrix"].shape[-1] == 2 * matrices["l"].max() * (matrices["l"].max() + 2)
 
 
@@ -88,6 +125,8 @@ def test_the_t_matrix_beside_scatters_as_the_cross_sections_say(tmp_path):
     [
         ((), "AIRFRAME: give a procedural one (quad_x, "),
         (("quad_x", "--mesh", "x.stl"), "--mesh FILE, and not both"),
+        (("quad_x", "--unit", "mm"), "--unit: says how a mesh file is read; leave it out, or give --mesh FILE"),
+        (("quad_x", "--transmit", "0,100"), "--transmit: 100 must lie in -90 to 90 degrees"),
         (("quad_y",), "airframe 'quad_y': neither a family"),
         (("quad_x", "--azimuth", "10:0:1"), "--azimuth: '10:0:1': the end is not above the beginning"),
         (("quad_x", "--azimuth", "0:360"), "--azimuth: '0:360' is neither A:B:STEP nor a number"),

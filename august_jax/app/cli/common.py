@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import hashlib
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from august_jax import config as configuration
-from august_jax.app.cli.messages import note
-from august_jax.app.cli.parser import number, part, whole
+from august_jax.app.cli.messages import note, options
+from august_jax.app.cli.parser import name, number, part, whole
 from august_jax.config import Config, ConfigError, TargetConfig
 
 if TYPE_CHECKING:
@@ -26,6 +25,7 @@ _MARKS = {
     "clouds.npz": "august demo, august reconstruct or august track",
 }
 """What is in a folder -> which command keeps its config.yaml there."""
+_AXES = ("auto", "x", "y", "z", "-x", "-y", "-z")
 
 
 def folder(args: argparse.Namespace, default: str, *, configured: bool = False) -> Path:
@@ -62,7 +62,9 @@ def hosts_arguments(parser: argparse.ArgumentParser) -> None:
         "--host", type=part, metavar="I/N", help="this is the i-th of n hosts that train as one (default: alone)"
     )
     parser.add_argument(
-        "--coordinator", metavar="ADDRESS:PORT", help="of the first host, as the others reach it (default: none)"
+        "--coordinator",
+        metavar="ADDRESS:PORT",
+        help="of the first host, as the others reach it; a port from 1 to 65535 (default: none)",
     )
 
 
@@ -88,21 +90,27 @@ def mesh_arguments(parser: argparse.ArgumentParser, *, required: bool) -> None:
         "--mesh",
         required=required,
         metavar="FILE",
-        help="OBJ, STL, PLY, GLB, or DAE with the extra [dae]" + ("" if required else " (default: none)"),
+        help="OBJ, STL, PLY, GLB, glTF or DAE" + ("" if required else " (default: none)"),
     )
     parser.add_argument(
         "--unit",
+        type=name("auto", "m", "cm", "mm", "in", "ft", other="a number of metres above 0"),
         default="auto",
-        help="of the file: m, cm, mm, in, ft, or metres a unit (default: what the file or its format says, else m)",
+        help="of the file (default: what the file or its format says, else m)",
     )
     parser.add_argument(
         "--up",
+        type=name(*_AXES),
         default="auto",
         metavar="AXIS",
-        help="the file's upward axis, such as y or -z (default: the format's, else z)",
+        help="the file's upward axis (default: the format's, else z)",
     )
     parser.add_argument(
-        "--forward", default="auto", metavar="AXIS", help="the file's forward axis (default: the format's, else x)"
+        "--forward",
+        type=name(*_AXES),
+        default="auto",
+        metavar="AXIS",
+        help="the file's forward axis (default: the format's, else x)",
     )
     parser.add_argument(
         "--half-wheelbase",
@@ -113,12 +121,36 @@ def mesh_arguments(parser: argparse.ArgumentParser, *, required: bool) -> None:
 
 
 def mesh_airframe(args: argparse.Namespace) -> Airframe:
-    """The craft of the file that :func:`mesh_arguments` name."""
+    """The craft of the file that :func:`mesh_arguments` name; how the file was read is told."""
     from august_jax.scene import load_airframe
 
-    return load_airframe(
+    airframe = load_airframe(
         args.mesh, unit=args.unit, up=args.up, forward=args.forward, half_wheelbase_m=args.half_wheelbase
     )
+    note(f"{args.mesh}: {airframe.source}")
+    return airframe
+
+
+def mesh_record(args: argparse.Namespace, airframe: Airframe) -> dict[str, Any]:
+    """Where the craft of :func:`mesh_airframe` came from, as plain strings and numbers, to be kept with results."""
+    from august_jax.files import sha256_of
+
+    assert airframe.source is not None  # of a loaded mesh
+    return {
+        "mesh": airframe.source.record(),
+        "mesh_sha256": sha256_of(Path(args.mesh)),
+        "surface_digest": airframe.digest,
+        "half_wheelbase_m": airframe.half_wheelbase_m,
+    }
+
+
+def mesh_again(args: argparse.Namespace, airframe: Airframe) -> list[str]:
+    """The words that give the craft of :func:`mesh_airframe` again: what was read of the file stands for ``auto``."""
+    source = airframe.source
+    assert source is not None  # of a loaded mesh
+    taken = {"unit": f"{source.unit_m:.12g}", "up": source.up, "forward": source.forward}
+    read = {name: text for name, text in taken.items() if vars(args)[name] == "auto"}
+    return options(argparse.Namespace(**vars(args) | read), "mesh", "unit", "up", "forward", "half_wheelbase")
 
 
 def material_arguments(parser: argparse.ArgumentParser) -> None:
@@ -161,9 +193,3 @@ def chosen_weights(args: argparse.Namespace, run: str | None) -> tuple[Networks,
 def counted(number: int, thing: str) -> str:
     """``1 slot``, ``12 slots``."""
     return f"{number} {thing}{'' if number == 1 else 's'}"
-
-
-def sha256_of(path: Path) -> str:
-    """The SHA-256 of a file's content, in hexadecimal."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -41,7 +41,8 @@ def completion(parsers: Mapping[str, argparse.ArgumentParser], shell: str) -> st
         flags = [max(action.option_strings, key=len) for action in parser._actions if action.option_strings]
         options.append(f'      {name}) words="{" ".join(flags)}" ;;')
         for action in parser._actions:
-            given = configuration.PRESETS if action.dest == "preset" else action.choices
+            known = getattr(action.type, "known", None) or action.choices
+            given = configuration.PRESETS if action.dest == "preset" else known
             if action.option_strings and given:
                 taken = " ".join(map(str, given))
                 choices.append(f'    "{name} {max(action.option_strings, key=len)}") words="{taken}" ;;')

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import argparse
 import time
-from typing import Any
+from typing import Any, get_args
 
 from august_jax.app.cli.common import chosen_weights, counted
 from august_jax.app.cli.messages import command_line, note, options
-from august_jax.app.cli.parser import Command, seed_and_snr, whole
+from august_jax.app.cli.parser import Command, name, seed_and_snr, whole
 from august_jax.app.cli.sensing import search_arguments, sensed
-from august_jax.config import bounds
+from august_jax.config import Family, bounds
 
 
 def _arguments(parser: argparse.ArgumentParser) -> None:
@@ -19,7 +19,9 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--slots", type=whole(1, most), default=12, metavar="N", help="length of the flight (default 12)"
     )
-    parser.add_argument("--airframe", metavar="NAME", help="a procedural airframe (default: drawn)")
+    parser.add_argument(
+        "--airframe", type=name(*get_args(Family)), metavar="NAME", help="a procedural airframe (default: drawn)"
+    )
     parser.add_argument("--run", metavar="RUN", help="weights of your own training run (default: the shipped ones)")
     search_arguments(parser, search=1, known=2)
 

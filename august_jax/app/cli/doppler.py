@@ -5,12 +5,13 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import Any, get_args
 
 from august_jax.app.cli.common import chosen_config, folder, material, material_arguments
 from august_jax.app.cli.messages import UsageError, command_line, note, options, say
 from august_jax.app.cli.parser import Command, number, numbers
-from august_jax.config import Bounds, ConfigError
+from august_jax.app.cli.results import kept
+from august_jax.config import Bounds, ConfigError, Family
 
 _RATE, _SPEED = Bounds(-1000.0, 1000.0, "turns/s"), Bounds(-300.0, 300.0, "m/s")
 _METRES, _GHZ = Bounds(-1000.0, 1000.0, "m"), Bounds(0.1, 100.0, "GHz")
@@ -23,6 +24,7 @@ _GOLDEN = 2.399963  # rad; rotors stand at no angle twice
 def _arguments(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(places=1)
     parser.usage = f"{parser.prog} AIRFRAME [options] [section.field=value ...]"
+    parser.epilog = f"AIRFRAME is a procedural one: {', '.join(get_args(Family))}."
     parser.add_argument(
         "--half-wheelbase", type=number("target.half_wheelbase_m"), metavar="M",
         help="scale to this half-wheelbase [m] (default: the configuration's)",
@@ -60,7 +62,8 @@ _rates = _several(_RATE)
 def _run(args: argparse.Namespace) -> dict[str, Any]:
     import numpy as np
 
-    from august_jax.app.export import write_record
+    from august_jax.app.export import DESCRIBED_DOPPLER, write_record
+    from august_jax.files import replacing_together
     from august_jax.physics import (
         AntennaArray,
         Spinning,
@@ -139,7 +142,6 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
     expected = float(np.asarray(doppler_shift(velocity @ towards, hertz)))
     flashes = [blade_flash_rate(int(blades), rate) for blades, rate in zip(parts.blades, rates)]
     strongest = float(shifts[np.argmax(np.abs(spectrum).max(axis=1))])
-    out.mkdir(parents=True, exist_ok=True)
     record = {
         "time_s": times,
         **{f"channel_{name}_1_m": values for name, values in series.items()},
@@ -152,10 +154,21 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
         "flash_hz": np.array(flashes),
         "position_m": place,
         "velocity_m_s": velocity,
+        "permittivity": permittivity,
+        "conductivity_s_m": conductivity,
+        "half_wheelbase_m": airframe.half_wheelbase_m,
+        "airframe_name": airframe.name,
+        **kept(args, config, {}),
     }
-    for suffix in ("npz", "mat"):
-        write_record(out / f"doppler.{suffix}", record)
-    _draw(series, args.pulses, expected, max(tips), min(flashes), out / "doppler.png", title=airframe.name)
+    with replacing_together(out, ("doppler.npz", "doppler.mat", "doppler.png")) as aside:
+        for suffix in ("npz", "mat"):
+            write_record(aside[f"doppler.{suffix}"], record, described=DESCRIBED_DOPPLER)
+        _draw(series, args.pulses, expected, max(tips), min(flashes), aside["doppler.png"], title=airframe.name)
+    again = options(
+        args,
+        *("half_wheelbase", "rate", "position", "seconds", "pulses", "frequency"),
+        *("permittivity", "conductivity", "preset"),
+    )
     folded = " (folded: more --pulses)" if abs(expected) + max(tips) > args.pulses / 2.0 else ""
     say(
         args,
@@ -164,13 +177,13 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
         f"tips     up to {max(tips):.0f} Hz either way{folded}\n"
         f"flashes  {', '.join(f'{each:g}' for each in sorted(set(flashes)))} a second\n"
         f"written: {out}/doppler.png, doppler.npz, doppler.mat in {time.monotonic() - started:.0f} s\n"
-        "next:  "
-        + command_line("doppler", *args.rest, *options(args, "half_wheelbase"), "--velocity", "0,-10,0")
-        + "      coming nearer",
+        f"next:  {command_line('doppler', *args.rest, *again, '--velocity', '0,-10,0', *args.overrides)}"
+        "   # coming nearer",
     )
     return {
         "out": str(out),
         "airframe": airframe.name,
+        "command_line": command_line(*args.words),
         "pulses": count,
         "hull_shift_hz": expected,
         "strongest_hz": strongest,
@@ -220,4 +233,10 @@ def _draw(series, pulses: float, hull_hz: float, tip_hz: float, flash_hz: float,
     plotting.save(figure, png)
 
 
-COMMAND = Command("Doppler of a craft whose rotors turn", _arguments, _run, out="august_doppler")
+COMMAND = Command(
+    "Doppler of a craft whose rotors turn",
+    _arguments,
+    _run,
+    out="august_doppler",
+    first="a minute or two on two quiet CPU cores",
+)

@@ -11,15 +11,18 @@ from august_jax import config as configuration
 from august_jax.app.cli.common import chosen_weights, counted, folder
 from august_jax.app.cli.dry import about, dry_run_argument, long, size, told_plan
 from august_jax.app.cli.messages import UsageError, command_line, expected_table, note, say, scheme_table, search_table
-from august_jax.app.cli.parser import Command, whole
+from august_jax.app.cli.parser import Command, name, whole
 from august_jax.config import Config
 
 _MOST_RUNS = 64
+_SCHEMES = ("august", "matched_field", "polar", "polar_angles", "prediction", "up", "mean_shape", "resampling")
+"""Names of august_jax.schemes.SCHEMES, which the help is too quick to load."""
 
 
 def _arguments(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(places=_MOST_RUNS)
     parser.usage = f"{parser.prog} [RUN ...] [options] [section.field=value ...]"
+    parser.epilog = "RUN is a folder that august train wrote (default: the shipped weights)."
     parser.add_argument(
         "--run",
         metavar="RUN",
@@ -28,8 +31,9 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--schemes",
+        type=name(*_SCHEMES, other="several of them separated by commas"),
         metavar="NAMES",
-        help="which schemes to ask, separated by commas; august is the networks (default: all)",
+        help="which schemes to ask; august is the networks (default: all)",
     )
     dry_run_argument(parser)
     parser.add_argument("--seed", type=whole(), default=1, metavar="N", help="of the fresh samples (default 1)")
@@ -38,7 +42,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 def _run(args: argparse.Namespace) -> dict[str, Any]:
     from august_jax import evaluation, pipeline
     from august_jax.app import plotting
-    from august_jax.files import write_text
+    from august_jax.files import replacing_together
     from august_jax.schemes import lines_of
 
     out = folder(args, "august_evaluate")
@@ -57,13 +61,14 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
     made = {"command_line": command_line(*args.words), "configuration": configuration.to_dict(config)}
     found = {"rows": rows, "thresholds": evaluation.thresholds(rows)}
     result = {"weights": weights, "seed": args.seed, **made, **found}
-    write_text(out / "evaluation.json", json.dumps(result, indent=1, allow_nan=False))
-    plotting.evaluation_curves(
-        rows,
-        out / "evaluation.png",
-        title=f"{first.name if len(several) == 1 else f'{len(several)} networks'}, seed {args.seed}, "
-        f"{counted(config.evaluate.count, 'sample')} at each SNR",
-    )
+    with replacing_together(out, ("evaluation.json", "evaluation.png")) as aside:
+        aside["evaluation.json"].write_text(json.dumps(result, indent=1, allow_nan=False), encoding="utf-8")
+        plotting.evaluation_curves(
+            rows,
+            aside["evaluation.png"],
+            title=f"{first.name if len(several) == 1 else f'{len(several)} networks'}, seed {args.seed}, "
+            f"{counted(config.evaluate.count, 'sample')} at each SNR",
+        )
     say(args, scheme_table(rows, snr=True))
     searched = search_table(rows)
     if searched:
@@ -94,4 +99,10 @@ def _plan(
     return told_plan(args, plan, lines)
 
 
-COMMAND = Command("accuracy over SNR beside the baselines", _arguments, _run, out="august_evaluate")
+COMMAND = Command(
+    "accuracy over SNR beside the baselines",
+    _arguments,
+    _run,
+    out="august_evaluate",
+    first="some minutes on two quiet CPU cores, most of them for searches",
+)

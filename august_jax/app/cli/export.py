@@ -16,6 +16,7 @@ from august_jax.config import ConfigError
 def _arguments(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(places=1)
     parser.usage = f"{parser.prog} SOURCE --format FORMAT [options]"
+    parser.epilog = "SOURCE is a folder that august demo, reconstruct, track or simulate wrote."
     parser.add_argument("--format", required=True, metavar="FORMAT", help="ply, csv, npz, mat or json")
     parser.add_argument(
         "--index",
@@ -27,7 +28,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(args: argparse.Namespace) -> dict[str, Any]:
-    from august_jax.app.export import FORMATS, write_csv, write_ply, write_record
+    from august_jax.app.export import DESCRIBED, FORMATS, write_csv, write_ply, write_record
 
     if args.format not in FORMATS:
         raise ConfigError(f"--format: unknown format {args.format!r}; choose one of {', '.join(FORMATS)}")
@@ -44,7 +45,7 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
             (write_ply if args.format == "ply" else write_csv)(path, *cloud)
     else:
         paths = [out / f"{name}.{args.format}"]
-        write_record(paths[0], record, described=True)
+        write_record(paths[0], record, described=DESCRIBED)
     say(args, f"written: {', '.join(map(str, paths))}")
     return {"index": index, "files": [str(path) for path in paths]}
 

@@ -57,6 +57,14 @@ FLAGS = {
 }
 """Argument of the library -> option that gives it. The library's messages name arguments; here alone are they
 translated."""
+_WAYS_OUT = {
+    errno.ENOSPC: "make room there, or choose another --out",
+    errno.EDQUOT: "make room in your quota, or choose another --out",
+    errno.EROFS: "nothing can be written there; choose another --out",
+    errno.EACCES: "ask for the right to it, or choose another folder",
+    errno.EPERM: "ask for the right to it, or choose another folder",
+}
+"""Of what the system refuses."""
 _NAMES = "|".join(sorted(FLAGS, key=len, reverse=True))
 _LEADING = re.compile(rf"((?:{_NAMES})(?:, (?:{_NAMES}))*)(?=:)")
 _GIVEN = re.compile(rf"(?<![\w./-])({_NAMES})=(\([^)]*\)|[^\s,;:)]+)")
@@ -96,9 +104,15 @@ def options(args: argparse.Namespace, *names: str) -> list[str]:
     for name in names:
         value = getattr(args, name)
         if value is not None:
-            text = ",".join(f"{each:.12g}" for each in value) if isinstance(value, tuple) else str(value)
-            words += [f"--{name.replace('_', '-')}", text]
+            words += [f"--{name.replace('_', '-')}", worded(value)]
     return words
+
+
+def worded(value: Any) -> str:
+    """The value of an option as it is typed: numbers of one option stand between commas."""
+    if type(value) is tuple:
+        return ",".join(map(worded, value))
+    return f"{value:.12g}" if isinstance(value, float) else str(value)
 
 
 def in_flags(text: str, options: Collection[str]) -> str:
@@ -138,7 +152,7 @@ def told(error: Exception, options: Collection[str] = ()) -> str:
         text = missing_device
     elif isinstance(error, OSError):
         text = f"{error.filename}: {error.strerror}" if error.filename else text
-        text += "; make room there, or choose another --out" if error.errno == errno.ENOSPC else ""
+        text += f"; {_WAYS_OUT[error.errno]}" if error.errno in _WAYS_OUT else ""
     elif isinstance(error, ImportError):
         text = f"{text}; install again: pip install -c constraints.txt ."
     elif not isinstance(error, (ValueError, FloatingPointError, UsageError)):

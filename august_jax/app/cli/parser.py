@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, NoReturn
 from august_jax import __version__
 from august_jax import config as configuration
 from august_jax.app.cli.completion import SHELLS, completion
-from august_jax.app.cli.messages import UsageError
+from august_jax.app.cli.messages import UsageError, worded
 from august_jax.config import Bounds
 
 _ASSIGNMENT = re.compile(r"[a-z_]\w*(\.\w+)*=")
@@ -77,9 +77,8 @@ class _Formatter(argparse.RawDescriptionHelpFormatter):
 
 
 def _shown(value: Any) -> str:
-    if value is None:
-        return "none"
-    return ":".join(f"{each:g}" for each in value) if isinstance(value, tuple) else str(value)
+    """A default as it would be typed."""
+    return "none" if value is None else worded(value)
 
 
 class _Parser(argparse.ArgumentParser):
@@ -250,8 +249,19 @@ def whole(low: int = 0, high: int = 2**31 - 1) -> Callable[[str], int]:
             raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from {low} to {high}")
         return int(text)
 
-    least = "any whole number" if low == -(2**31) else f"{low} or more"
-    read.takes = f"{low} to {high}" if high < 2**31 - 1 else least  # type: ignore[attr-defined]
+    read.takes = f"{low} to {high}"  # type: ignore[attr-defined]
+    return read
+
+
+def name(*known: str, other: str = "") -> Callable[[str], str]:
+    """An argparse type: one of the ``known`` names, or an ``other``, as the help says; what it is given to judges it,
+    whose error says more."""
+
+    def read(text: str) -> str:
+        return text
+
+    read.takes = f"one of {', '.join(known)}" + (f", or {other}" if other else "")  # type: ignore[attr-defined]
+    read.known = known  # type: ignore[attr-defined]
     return read
 
 

@@ -6,13 +6,24 @@ import argparse
 import math
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple, get_args
 
-from august_jax.app.cli.common import chosen_config, folder, material, material_arguments, mesh_airframe, mesh_arguments
+from august_jax.app.cli.common import (
+    chosen_config,
+    folder,
+    material,
+    material_arguments,
+    mesh_again,
+    mesh_airframe,
+    mesh_arguments,
+    mesh_record,
+)
 from august_jax.app.cli.messages import UsageError, command_line, note, options, say, table
 from august_jax.app.cli.parser import Command, numbers
-from august_jax.config import Bounds, ConfigError
+from august_jax.app.cli.results import kept
+from august_jax.config import Bounds, ConfigError, Family
 
+_STEP = Bounds(1e-3, 360.0, "degrees")
 _AZIMUTH, _ELEVATION = Bounds(-360.0, 360.0, "degrees"), Bounds(-90.0, 90.0, "degrees")
 _GHZ = Bounds(0.1, 100.0, "GHz")
 _MOST = 200_000
@@ -21,23 +32,37 @@ _POINTS = 500  # of the craft, in the middle of the lobe
 _CHANNELS = ("hh", "hv", "vh", "vv")
 
 
+class _Steps(NamedTuple):
+    """From ``low`` to ``high`` in steps of ``step``; in words as it is typed."""
+
+    low: float
+    high: float
+    step: float
+
+    def __str__(self) -> str:
+        return ":".join(f"{each:.12g}" for each in self) if self.low < self.high else f"{self.low:.12g}"
+
+
 def _arguments(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(places=1)
     parser.usage = f"{parser.prog} [AIRFRAME] [options] [section.field=value ...]"
+    parser.epilog = (
+        f"AIRFRAME is a procedural one: {', '.join(get_args(Family))}; in its place --mesh FILE gives another."
+    )
     mesh_arguments(parser, required=False)
     parser.add_argument(
-        "--azimuth", type=steps(_AZIMUTH), default=(-180.0, 180.0, 2.0), metavar="A:B:STEP",
-        help="from A to B in steps [deg], 0 ahead, 90 to the left (default -180:180:2)",
+        "--azimuth", type=steps(_AZIMUTH), default=_Steps(-180.0, 180.0, 2.0), metavar="A:B:STEP",
+        help="from A to B in steps, or one angle [deg], 0 ahead, 90 to the left",
     )  # fmt: skip
     parser.add_argument(
-        "--elevation", type=steps(_ELEVATION), default=(-90.0, 90.0, 5.0), metavar="A:B:STEP",
-        help="likewise, 90 above (default -90:90:5)",
+        "--elevation", type=steps(_ELEVATION), default=_Steps(-90.0, 90.0, 5.0), metavar="A:B:STEP",
+        help="likewise, 90 above",
     )  # fmt: skip
     parser.add_argument(
         "--frequency", type=frequencies, metavar="GHZ,...", help="[GHz] (default: the configuration's tones)"
     )
     parser.add_argument(
-        "--transmit", type=numbers(2, _AZIMUTH), metavar="AZ,EL",
+        "--transmit", type=direction, metavar="AZ,EL",
         help="where the transmitter is, seen from the craft [deg] (default: where the receiver is)",
     )  # fmt: skip
     parser.add_argument(
@@ -46,25 +71,34 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
     material_arguments(parser)
 
 
-def steps(within: Bounds) -> Callable[[str], tuple[float, float, float]]:
+def steps(within: Bounds) -> Callable[[str], _Steps]:
     """An argparse type: ``A:B:STEP``, or one number."""
     inside = numbers(1, within)
 
-    def read(text: str) -> tuple[float, float, float]:
+    def read(text: str) -> _Steps:
         parts = text.split(":")
         if len(parts) == 1:
             (alone,) = inside(text)
-            return alone, alone, 1.0
+            return _Steps(alone, alone, 1.0)
         if len(parts) != 3:
             raise argparse.ArgumentTypeError(f"{text!r} is neither A:B:STEP nor a number, e.g. -180:180:5")
         low, high = (inside(part)[0] for part in parts[:2])
-        (step,) = numbers(1, Bounds(1e-3, 360.0, "degrees"))(parts[2])
+        (step,) = numbers(1, _STEP)(parts[2])
         if not low < high:
             raise argparse.ArgumentTypeError(f"{text!r}: the end is not above the beginning, e.g. -180:180:5")
-        return low, high, step
+        return _Steps(low, high, step)
 
-    read.takes = f"each end {within}"  # type: ignore[attr-defined]
+    read.takes = f"each end {within}, the step {_STEP}"  # type: ignore[attr-defined]
     return read
+
+
+def direction(text: str) -> tuple[float, ...]:
+    """An argparse type: an azimuth and an elevation."""
+    azimuth, elevation = numbers(2, _AZIMUTH)(text)
+    return azimuth, numbers(1, _ELEVATION)(f"{elevation:g}")[0]
+
+
+direction.takes = f"azimuth {_AZIMUTH}, elevation {_ELEVATION}"  # type: ignore[attr-defined]
 
 
 def frequencies(text: str) -> tuple[float, ...]:
@@ -82,10 +116,10 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
     import numpy as np
 
     from august_jax.app import plotting
-    from august_jax.app.export import write_record
+    from august_jax.app.export import DESCRIBED, write_record
     from august_jax.app.lobe import write_lobe
     from august_jax.data.simulator import lattice_of
-    from august_jax.files import replacing
+    from august_jax.files import replacing_together
     from august_jax.physics import (
         contrast,
         dbsm,
@@ -106,12 +140,19 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
             f"AIRFRAME: give a procedural one ({', '.join(AIRFRAMES)}) or --mesh FILE, and not both\n"
             "see: august rcs --help"
         )
+    read = [name for name in ("unit", "up", "forward") if getattr(args, name) != "auto"]
+    if args.mesh is None and read:
+        raise UsageError(f"--{read[0]}: says how a mesh file is read; leave it out, or give --mesh FILE")
     out = folder(args, "august_rcs")
     config = chosen_config(args)
     target = config.target
+    made: dict[str, Any] = {"command_line": command_line(*args.words)}
     if args.mesh is not None:
         airframe = mesh_airframe(args)
+        made["craft"] = mesh_record(args, airframe)
+        craft = mesh_again(args, airframe)
     else:
+        craft = [*args.rest, *options(args, "half_wheelbase")]
         airframe = resolve_airframe(args.rest[0], args.half_wheelbase or target.half_wheelbase_m)
     azimuth, elevation = (_places(each) for each in (args.azimuth, args.elevation))
     hertz = config.array.frequencies_hz if args.frequency is None else tuple(1e9 * each for each in args.frequency)
@@ -151,15 +192,16 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
         "permittivity": permittivity,
         "conductivity_s_m": conductivity,
         "half_wheelbase_m": airframe.half_wheelbase_m,
-    } | ({} if args.transmit is None else {"transmit_deg": np.asarray(args.transmit)})
+        **({} if args.transmit is None else {"transmit_deg": np.asarray(args.transmit)}),
+        "airframe_name": airframe.name,
+        **kept(args, config, made),
+    }
     summary: list[dict[str, Any]] = [
         {"frequency_hz": each, "polarisation": name, **_summary(entries[name][..., row], elevation)}
         for row, each in enumerate(hertz)
         for name in _CHANNELS
     ]
-    out.mkdir(parents=True, exist_ok=True)
-    for suffix in ("npz", "mat"):
-        write_record(out / f"rcs.{suffix}", record)
+    matrices: dict[str, Any] | None = None
     if args.t_matrix:
         basis = spherical_basis(degree)
         matrices = {
@@ -170,8 +212,6 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
             "k0_rad_m": np.array([wavenumber(each) for each in hertz]),
             "frequency_hz": np.asarray(hertz),
         }
-        for suffix in ("npz", "mat"):
-            write_record(out / f"tmatrix.{suffix}", matrices)
     rows = np.stack(
         [
             *(part.ravel() for part in np.meshgrid(elevation, azimuth, hertz, indexing="ij")),
@@ -179,26 +219,33 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
         ],
         axis=1,
     )
-    with replacing(out / "rcs.csv") as aside:
-        np.savetxt(aside, rows, fmt=("%.6g", "%.6g", "%.10g", *["%.4f"] * 4), delimiter=",", comments="",
-                   header="elevation_deg,azimuth_deg,frequency_hz,hh_dbsm,hv_dbsm,vh_dbsm,vv_dbsm")  # fmt: skip
     title = f"{airframe.name}, {'monostatic' if transmit is None else 'bistatic'}"
-    plotting.cross_sections(azimuth, elevation, hertz, entries, out / "rcs.png", title=title)
     made_of = f"permittivity {permittivity:.3g}, conductivity {1e3 * conductivity:.3g} mS/m"
     sites = np.asarray(cells.sites())
-    write_lobe(
-        out / "rcs.html",
-        azimuth,
-        elevation,
-        hertz,
-        entries,
-        sites[:: max(1, len(sites) // _POINTS)],
-        title=f"{title}: radar cross-section",
-        lead=f"Half-wheelbase {airframe.half_wheelbase_m:.3g} m, {made_of}. Distance from the middle is the "
-        "cross-section in dB above what the slider leaves out"
-        + ("." if args.transmit is None else ", towards the receiver, while the transmitter stands at azimuth "
-           f"{args.transmit[0]:g} and elevation {args.transmit[1]:g} degrees."),
-    )  # fmt: skip
+    names = ["rcs.npz", "rcs.html", "rcs.png", "rcs.mat", "rcs.csv"]
+    names += ["tmatrix.npz", "tmatrix.mat"] if matrices is not None else []
+    with replacing_together(out, names) as aside:
+        for suffix in ("npz", "mat"):
+            write_record(aside[f"rcs.{suffix}"], record, described=DESCRIBED)
+            if matrices is not None:
+                write_record(aside[f"tmatrix.{suffix}"], matrices, described=DESCRIBED)
+        np.savetxt(aside["rcs.csv"], rows, fmt=("%.6g", "%.6g", "%.10g", *["%.4f"] * 4), delimiter=",", comments="",
+                   header="elevation_deg,azimuth_deg,frequency_hz,hh_dbsm,hv_dbsm,vh_dbsm,vv_dbsm")  # fmt: skip
+        plotting.cross_sections(azimuth, elevation, hertz, entries, aside["rcs.png"], title=title)
+        write_lobe(
+            aside["rcs.html"],
+            azimuth,
+            elevation,
+            hertz,
+            entries,
+            sites[:: max(1, len(sites) // _POINTS)],
+            title=f"{title}: radar cross-section",
+            lead=f"Half-wheelbase {airframe.half_wheelbase_m:.3g} m, {made_of}. Distance from the middle is the "
+            "cross-section in dB above what the slider leaves out"
+            + ("." if args.transmit is None else ", towards the receiver, while the transmitter stands at azimuth "
+               f"{args.transmit[0]:g} and elevation {args.transmit[1]:g} degrees."),
+            repeat=made["command_line"],
+        )  # fmt: skip
     say(
         args,
         f"{title}, half-wheelbase {airframe.half_wheelbase_m:.3g} m, {made_of}; error of the reduced body "
@@ -217,19 +264,18 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
             ]
         ),
     )
-    again = options(args, "half_wheelbase", "permittivity", "conductivity")
-    craft = [*args.rest, *options(args, "mesh")]
-    more = ", tmatrix.npz, tmatrix.mat" if args.t_matrix else ""
+    again = options(args, "azimuth", "frequency", "permittivity", "conductivity", "preset")
     say(
         args,
-        f"written: {out}/rcs.html, rcs.png, rcs.npz, rcs.mat, rcs.csv{more} in {time.monotonic() - started:.0f} s\n"
-        f"next:  {command_line('rcs', *craft, *again, '--transmit', '0,0', '--elevation', '0')}"
-        "      seen from all sides while a transmitter stands ahead",
+        f"written: {out}/: {', '.join(names)} in {time.monotonic() - started:.0f} s\n"
+        f"look:  {(out / 'rcs.html').resolve().as_uri()}\n"
+        f"next:  {command_line('rcs', *craft, *again, '--transmit', '0,0', '--elevation', '0', *args.overrides)}"
+        "   # seen from all sides while a transmitter stands ahead",
     )
-    return {"out": str(out), "airframe": airframe.name, "cells": cells.count, "summary": summary}
+    return {"out": str(out), "airframe": airframe.name, "cells": cells.count, **made, "summary": summary}
 
 
-def _places(span: tuple[float, float, float]):
+def _places(span: _Steps):
     import numpy as np
 
     low, high, step = span
@@ -255,4 +301,10 @@ def _summary(values, elevation_deg) -> dict[str, float]:
     }
 
 
-COMMAND = Command("the radar cross-section of a craft", _arguments, _run, out="august_rcs")
+COMMAND = Command(
+    "the radar cross-section of a craft",
+    _arguments,
+    _run,
+    out="august_rcs",
+    first="up to a minute a frequency on two quiet CPU cores",
+)

@@ -4,10 +4,17 @@ from __future__ import annotations
 
 import argparse
 import time
-from pathlib import Path
 from typing import Any
 
-from august_jax.app.cli.common import chosen_weights, material_arguments, mesh_airframe, mesh_arguments, sha256_of
+from august_jax.app.cli.common import (
+    chosen_weights,
+    material,
+    material_arguments,
+    mesh_again,
+    mesh_airframe,
+    mesh_arguments,
+    mesh_record,
+)
 from august_jax.app.cli.messages import command_line, note, options
 from august_jax.app.cli.parser import ANGLE, Command, number, numbers, seed_and_snr
 from august_jax.app.cli.sensing import search_arguments, sensed
@@ -32,6 +39,7 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
     started = time.monotonic()
     airframe = mesh_airframe(args)
     networks, config = chosen_weights(args, args.run)
+    permittivity, conductivity = material(args, config.target)
     shot = pipeline.pose_scenario(
         networks.config,
         airframe,
@@ -39,30 +47,15 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
         yaw_deg=args.yaw,
         pitch_deg=args.pitch,
         roll_deg=args.roll,
-        permittivity=args.permittivity,
-        conductivity=args.conductivity,
+        permittivity=permittivity,
+        conductivity=conductivity,
     )
-    source = airframe.source
-    assert source is not None  # of a loaded mesh
-    note(f"{args.mesh}: {source}")
     note(
         f"{airframe.name}: half-wheelbase {airframe.half_wheelbase_m:.3f} m, at "
         f"({', '.join(f'{value:.2f}' for value in shot.positions[0])}) m"
     )
-    craft = {
-        "mesh": source.record(),
-        "mesh_sha256": sha256_of(Path(args.mesh)),
-        "surface_digest": airframe.digest,
-        "half_wheelbase_m": airframe.half_wheelbase_m,
-        "yaw_deg": args.yaw,
-        "pitch_deg": args.pitch,
-        "roll_deg": args.roll,
-    }
-    taken = {"unit": f"{source.unit_m:.12g}", "up": source.up, "forward": source.forward}
-    again = options(
-        argparse.Namespace(**vars(args) | {name: text for name, text in taken.items() if vars(args)[name] == "auto"}),
-        *("mesh", "unit", "up", "forward", "half_wheelbase", "position", "permittivity", "conductivity", "run"),
-    )
+    craft = mesh_record(args, airframe) | {"yaw_deg": args.yaw, "pitch_deg": args.pitch, "roll_deg": args.roll}
+    again = [*mesh_again(args, airframe), *options(args, "position", "permittivity", "conductivity", "run")]
     another = command_line("reconstruct", *again, "--snr", "30", "--yaw", "45", "--pitch", "15", *args.overrides)
     return sensed(
         args, networks, config, shot, started, craft=craft, following=[(another, "another pose, at a better SNR")]

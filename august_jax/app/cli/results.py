@@ -6,7 +6,6 @@ import argparse
 import json
 import platform
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -27,11 +26,21 @@ def array_told(config: Config) -> str:
     return f"{config.array.nx} x {config.array.nz} at {tones} GHz"
 
 
-def _needed(made: Mapping[str, Any]) -> str:
+def needed(mesh_sha256: str | None = None) -> str:
     """What makes a command give the same again."""
-    craft = made.get("craft")
-    file = f"; the mesh's SHA-256 begins {craft['mesh_sha256'][:12]}" if craft else ""
+    file = f"; the mesh's SHA-256 begins {mesh_sha256[:12]}" if mesh_sha256 else ""
     return f"august_jax {__version__} with jax {version('jax')} on Python {platform.python_version()}{file}"
+
+
+def kept(args: argparse.Namespace, config: Config, made: Mapping[str, Any]) -> dict[str, str]:
+    """What a record that stands alone says of how it was made, as texts; those of several things are JSON."""
+    craft = made.get("craft")
+    return {
+        "command_line": command_line(*args.words),
+        "made_with": needed(craft and craft["mesh_sha256"]),
+        "configuration": json.dumps(configuration.to_dict(config)),
+        **({"craft": json.dumps(craft)} if craft else {}),
+    }
 
 
 def leave(
@@ -73,7 +82,7 @@ def leave(
     from august_jax import evaluation
     from august_jax.app import report
     from august_jax.app.export import write_ply, write_record
-    from august_jax.files import occupying, replacing
+    from august_jax.files import replacing_together
 
     metrics = {
         "command": args.command,
@@ -84,11 +93,8 @@ def leave(
         **made,
         **scores,
     }
-    with occupying(out, wait=True), ExitStack() as whole:
-        # all are written before any takes its place, and the numbers come last: where they are missing, the process
-        # was stopped between the files of two runs
-        names = ("metrics.json", "config.yaml", "cloud.ply", "clouds.npz", f"{args.command}.png", "report.html")
-        aside = {name: whole.enter_context(replacing(out / name)) for name in names}
+    names = ("metrics.json", "config.yaml", "cloud.ply", "clouds.npz", f"{args.command}.png", "report.html")
+    with replacing_together(out, names) as aside:
         write_record(aside["clouds.npz"], track.record())
         write_ply(aside["cloud.ply"], track.points[-1], track.point_permittivity[-1], track.point_conductivity[-1])
         aside["metrics.json"].write_text(json.dumps(metrics, indent=1, allow_nan=False), encoding="utf-8")
@@ -103,14 +109,13 @@ def leave(
             note=evaluation.NOTE,
             setup=[*setup, ("seed", str(args.seed)), ("computed in", f"{seconds:.0f} s")],
             following=following,
-            repeat=[(command_line(*args.words), _needed(made))],
+            repeat=[(command_line(*args.words), needed((made.get("craft") or {}).get("mesh_sha256")))],
             configuration=configuration.to_yaml(config),
             scheme=scheme,
             hypotheses=hypotheses,
             permittivity=config.target.permittivity,
             conductivity=config.target.conductivity_s_m,
         )
-        (out / "metrics.json").unlink(missing_ok=True)
     files = ["report.html", f"{args.command}.png", "cloud.ply", "metrics.json", "config.yaml", "clouds.npz"]
     say(args, f"\n{title}\n{lead}\n")
     if first:

@@ -102,4 +102,10 @@ def _plan(args: argparse.Namespace, config: Config, out: Path, shard: tuple[int,
     return told_plan(args, plan, lines)
 
 
-COMMAND = Command("make a data set: flights, channels, clouds", _arguments, _run, out="august_data/PRESET")
+COMMAND = Command(
+    "make a data set: flights, channels, clouds",
+    _arguments,
+    _run,
+    out="august_data/PRESET",
+    first="up to a minute a drone to factor it, on two quiet CPU cores, before samples are made",
+)

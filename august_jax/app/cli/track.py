@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any, get_args
 from august_jax import config as configuration
 from august_jax.app.cli.common import chosen_config, chosen_weights, counted, folder
 from august_jax.app.cli.messages import UsageError, cell, command_line, note, options, table
-from august_jax.app.cli.parser import Command, seed_and_snr, whole
+from august_jax.app.cli.parser import Command, name, seed_and_snr, whole
 from august_jax.app.cli.results import array_told, leave
-from august_jax.config import Config, Style, bounds
+from august_jax.config import Config, ConfigError, Family, Style, bounds
 
 if TYPE_CHECKING:
     from august_jax.pipeline import Networks, Scenario, Track
@@ -30,22 +30,24 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
     seed_and_snr(parser, "flight, material, noise")
     most = int(bounds("flight.slots").high)
     parser.add_argument(
-        "--slots", type=whole(1, most), default=20, metavar="N", help="length of the flight, 4 or more (default 20)"
+        "--slots", type=whole(4, most), default=20, metavar="N", help="length of the flight (default 20)"
     )
     parser.add_argument(
         "--style", choices=get_args(Style), help="of the flight (default: the configuration's flight.style)"
     )
     parser.add_argument(
         "--scheme",
+        type=name(SEARCHED, "august", "polar", "polar_angles", "prediction"),
         default=SEARCHED,
         metavar="NAME",
-        help=f"what finds the drone: {SEARCHED}, which knows what may fly (default); august, the networks; polar, "
-        "polar_angles, a single point; prediction, which hears nothing",
+        help=f"what finds the drone: {SEARCHED} knows what may fly, august are the networks, polar and polar_angles a "
+        "single point, prediction hears nothing",
     )
     parser.add_argument(
         "--predictor",
+        type=name("finite_difference", "kalman", "lstm"),
         metavar="NAME",
-        help=f"finite_difference, kalman or lstm (default {PREDICTOR}, which errs least); not with {SEARCHED}",
+        help=f"what says where to listen (default {PREDICTOR}, which errs least); not with {SEARCHED}",
     )
     parser.add_argument(
         "--run",
@@ -56,6 +58,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--airframe",
+        type=name(*get_args(Family), other="a mesh file"),
         metavar="NAME",
         help="what flies (default: drawn from target.airframes, the drones that are known); any other is unknown",
     )
@@ -160,6 +163,13 @@ def _looped(args: argparse.Namespace, out: Path, started: float) -> dict[str, An
         several = [chosen_weights(args, run) for run in args.run or [None]]
     else:
         several = [(None, chosen_config(args))]
+    flights = {(config.flight.slot_s, args.style or config.flight.style) for _, config in several}
+    if len(flights) > 1:
+        told = "; ".join(f"slots of {slot_s:g} s, {style}" for slot_s, style in sorted(flights))
+        raise ConfigError(
+            f"--run: were trained for different flights ({told}), of which a predictor knows one; name runs of one "
+            "flight.slot_s, and of one flight.style or with --style"
+        )
     flight = several[0][1].flight
     name = args.predictor or PREDICTOR
     predictor = predictor_for(name, replace(flight, style=args.style or flight.style))

@@ -231,5 +231,9 @@ def _streamed(mesh: Mesh, config: Config) -> tuple[StreamedBatches, Sample]:
 
 
 COMMAND = Command(
-    "train the networks on a data set or a stream, or a predictor", _arguments, _run, out="august_runs/PRESET"
+    "train the networks on a data set or a stream, or a predictor",
+    _arguments,
+    _run,
+    out="august_runs/PRESET",
+    first="half a minute to compile on two quiet CPU cores, with train.source=stream some minutes for tables first",
 )
