@@ -212,6 +212,15 @@ def turning_rotors(numbers):
     assert np.all((left > 0.0) & (left < 0.8 * added))
 
 
+def coupling_near(numbers):
+    """Both ways come nearer to the finest lattice with the size of cells, and of small ones do not differ much."""
+    difference, sizes = numbers["difference"], numbers["sizes_mm"]
+    assert difference.shape == (2, len(sizes), len(numbers["permittivities"])) and numbers["finest_mm"] < sizes.min()
+    assert np.all(difference > 0.0) and np.all(np.diff(numbers["cells"]) > 0)
+    assert np.all(difference[:, -1].mean(axis=-1) < difference[:, 0].mean(axis=-1))
+    assert np.all(np.abs(difference[1] - difference[0]) < 0.05)
+
+
 LAWS = {
     "convergence": cell_size,
     "craft_rcs": cross_sections,
@@ -219,6 +228,7 @@ LAWS = {
     "environment": beside_planes,
     "limits": what_physics_allows,
     "link_budget": echo_over_the_box,
+    "near_coupling": coupling_near,
     "prediction": prediction_errors,
     "refine_pose": pose_by_gradients,
     "rotor_doppler": turning_rotors,
