@@ -14,9 +14,9 @@ is not built. The bound (august_jax.physics.information, with the planes) says w
 do.
 
 Every search is one line of JSON in a file of its preset in --lines: a run that was stopped goes on where it was. A
-search takes five seconds on two cores, as in experiments/trust.py, and twice as many more where nothing explains the
-echo and it is made again with more patience; the descents add as much. 8 slots, free space, and 3 levels in 2 cases are
-56 searches, some twenty minutes.
+search takes five to eleven seconds on two cores, as in experiments/trust.py, and twice as many more where nothing
+explains the echo and it is made again with more patience; the descents add as much. 8 slots, free space, and 3 levels
+in 2 cases are 56 searches, some twenty minutes.
 """
 
 from __future__ import annotations

@@ -202,16 +202,11 @@ def draw(results: dict[str, np.ndarray], path: Path) -> None:
                     noise, mean, 2 * error, ls=line, marker=mark, ms=5, color=colour, label=str(name), capsize=2
                 )
                 axis.plot(noise, results["q95_m"][row, column, :, member], ls=line, lw=0.7, color=colour, alpha=0.6)
+            line = ""
             if str(style) in PAPER_M:
                 axis.axhline(PAPER_M[str(style)], color="k", lw=0.8)
-                axis.annotate(
-                    f"paper: largest of a flight, {PAPER_M[str(style)]:.2f} m",
-                    (noise[0], PAPER_M[str(style)]),
-                    xytext=(0, 3),
-                    textcoords="offset points",
-                    fontsize=8,
-                )
-            axis.set(xscale="log", yscale="log", title=f"{style}, box of {box}")
+                line = f"\nline: the paper's largest of a flight, {PAPER_M[str(style)]:.2f} m"
+            axis.set(xscale="log", yscale="log", title=f"{style}, box of {box}{line}")
             axis.set_xticks(noise, [f"{value:.0f}" for value in noise])
             axis.set_yticks(_TICKS_M, [f"{value:g}" for value in _TICKS_M])
             axis.minorticks_off()

@@ -31,7 +31,7 @@ def run(
     """
     parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("action", choices=("compute", "draw"))
-    parser.add_argument("--small", action="store_true", help="coarser and fewer: under two minutes on two cores")
+    parser.add_argument("--small", action="store_true", help="coarser and fewer: minutes on two cores")
     parser.add_argument(
         "--results",
         type=Path,

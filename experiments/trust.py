@@ -11,7 +11,7 @@ than the one that is reached from the truth. In the other worlds slots come from
 can be trusted where the model is wrong, and so often ``explained`` says that it is.
 
 Every slot is one line of JSON in a file of its world and preset in --lines: a run that was stopped goes on where it
-was. Another estimator needs another folder. Five seconds a slot and SNR on two cores.
+was. Another estimator needs another folder. Five to eleven seconds a slot and SNR on two cores.
 """
 
 from __future__ import annotations
@@ -46,6 +46,8 @@ SNRS_DB = (0.0, 10.0, 20.0, 30.0)
 COUNT = 300
 NO_WORSE = 0.5
 """So much above what is reached from the truth may the best residual be and still count as found, in noise units."""
+LABELS = {"along": "along the line of sight", "normal_x": "normal, x", "normal_y": "normal, y"}
+"""Of ranks, in the picture."""
 RANKS = ("x", "y", "z", "along", "normal_x", "normal_y", "permittivity", "conductivity")
 """Quantities whose ranks are kept; ``along`` is the position along the line of sight."""
 UP = np.array([0.0, 0.0, 1.0])
@@ -361,7 +363,14 @@ def draw(results: dict[str, np.ndarray], path: Path) -> None:
         for row, name in enumerate(RANKS):
             counts = calibration.histogram(results[f"rank_{name}"][at], bins)
             axis.plot(
-                (np.arange(bins) + 0.5) / bins, counts, "-", lw=1, marker="o", ms=2.5, color=f"C{row}", label=name
+                (np.arange(bins) + 0.5) / bins,
+                counts,
+                "-",
+                lw=1,
+                marker="o",
+                ms=2.5,
+                color=f"C{row}",
+                label=LABELS.get(name, name),
             )
         spread = 2.0 * np.sqrt(count / bins * (1.0 - 1.0 / bins))
         axis.axhspan(max(count / bins - spread, 0.0), count / bins + spread, color="0.9", zorder=0)
@@ -371,7 +380,7 @@ def draw(results: dict[str, np.ndarray], path: Path) -> None:
     for axis, name, title in zip(
         axes[1],
         ("position_level", "normal_level", "distance_level"),
-        ("ellipsoids of position", "cones of the normal", "balls about random points (TARP)"),
+        ("ellipsoids of position", "cones of the normal", "balls about random points"),
     ):
         for (snr, at), color in zip(first, colors):
             covered = [calibration.coverage(results[name][at], credibility)[0] for credibility in wanted]
@@ -406,12 +415,21 @@ def draw(results: dict[str, np.ndarray], path: Path) -> None:
             mine = [(snr, *value(at)) for name, snr, at in groups if name == world]
             snrs, shares, errors = np.array(mine).T
             places = np.searchsorted(every, snrs) + step * row - 0.4 + step / 2.0
-            axis.bar(places, shares, 0.9 * step, yerr=errors, color=f"C{row}", label=world, error_kw={"lw": 0.8})
+            axis.bar(
+                places,
+                shares,
+                0.9 * step,
+                yerr=errors,
+                color=f"C{row}",
+                label=WORLDS[world].label,
+                error_kw={"lw": 0.8},
+            )
         axis.set_xticks(np.arange(len(every)), [f"{snr:g} dB" for snr in every])
         axis.set(title=title, ylim=(0, 1))
     axes[2, 1].axhline(0.9, color="0.4", ls="--")
     axes[2, 3].axhline(1.0 / int(results["crafts"]), color="0.4", ls="--")
-    axes[2, 2].legend(fontsize=7)
+    handles, labels = axes[2, 2].get_legend_handles_labels()
+    fig.legend(handles, labels, title="worlds", fontsize=8, ncols=5, loc="outside lower center")
     save(fig, path)
 
 

@@ -66,8 +66,8 @@ def clouds_drawn(numbers: Numbers, material: str):
             inside = np.all(np.abs(cloud) <= reach, axis=1)
             off, apart = numbers["off_m"][column, slot], 10.0 * np.log10(numbers["chamfer_m2"][column, slot])
             scattered(drawn, (slots, across, slot * across + column + 2), cloud[inside], found[column, slot][inside],
-                      limits, reach, f"{label}\n{100 * off:.0f} cm off, {apart:.0f} dB")  # fmt: skip
-    bar = drawn.colorbar(shown, ax=drawn.axes, shrink=0.5, pad=0.01)
+                      limits, reach, f"{label}\n{100 * off:.0f} cm off\nChamfer {apart:.0f} dB")  # fmt: skip
+    bar = drawn.colorbar(shown, ax=drawn.axes, shrink=0.5, pad=0.04)
     bar.set_label(material + (" [S/m]" if material == "conductivity" else ""), fontsize=7)
     bar.ax.tick_params(labelsize=6)
     return drawn

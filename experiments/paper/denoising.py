@@ -58,7 +58,7 @@ def draw(numbers: Numbers):
                   numbers["permittivity"][row], limits, reach, title)  # fmt: skip
     shown = scattered(drawn, (1, count + 1, count + 1), numbers["truth_m"], numbers["true_permittivity"], limits, reach,
                       "truth")  # fmt: skip
-    bar = drawn.colorbar(shown, ax=drawn.axes, shrink=0.6, pad=0.01)
+    bar = drawn.colorbar(shown, ax=drawn.axes, shrink=0.6, pad=0.04)
     bar.set_label("permittivity", fontsize=7)
     bar.ax.tick_params(labelsize=6)
     return drawn

@@ -93,5 +93,7 @@ def scattered(figure, where, points, values, limits, reach_m: float, title: str,
     tick = max(np.floor(10.0 * reach_m / 1.5) / 10.0, 0.1)
     for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
         axis.set_ticks([-tick, 0.0, tick])
+    for name in "xyz":
+        getattr(axes, f"set_{name}label")(f"{name} [m]", fontsize=5, labelpad=-10)
     axes.set_title(title, fontsize=7)
     return shown
