@@ -28,9 +28,9 @@ if os.environ.get("AUGUST_CHECK_TYPES", "1") != "0" and find_spec("beartype"):
 
 # so that no test reads or leaves files in the user's own
 os.environ.setdefault("AUGUST_CACHE", tempfile.mkdtemp(prefix="august-cache-"))
-# Both workers share what either has compiled, and find again what was dropped between modules.
+# Both workers share what either has compiled, however little it is, and find again what was dropped between modules.
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", tempfile.mkdtemp(prefix="august-compiled-"))
-os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.2")
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
 os.environ.setdefault("MPLBACKEND", "Agg")
 # Two workers on two cores: what LAPACK would do in threads waits for the other worker's.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

@@ -51,7 +51,11 @@ def schemes():
     SCHEMES.update(before)
 
 
-@pytest.mark.parametrize("page", RUN)
+@pytest.mark.parametrize(
+    # searches take minutes
+    "page",
+    [pytest.param(page, marks=pytest.mark.slow) if page == "docs/inference.md" else page for page in RUN],
+)
 def test_every_example_of_a_page_runs_in_order(schemes, page, request):
     if "find_craft" in text_of(page):
         request.getfixturevalue("optimized")

@@ -94,6 +94,7 @@ def solved(craft, position):
     return np.asarray(project(jnp.asarray(channel, jnp.complex64), jnp.asarray(POSITION), known.subspace).values)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("craft", [0, 1])
 def test_coefficients_of_every_tone_are_the_coupled_solve_s_with_the_phase_between_tones(craft):
     found, wanted = np.asarray(local(craft).values), solved(craft, POSITION)
@@ -169,6 +170,7 @@ def informed(row, tones):
     return whole[:6, :6] - whole[:6, 6:] @ np.linalg.solve(rest, whole[6:, :6])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("row", range(3))
 def test_two_tones_hold_no_less_than_one_and_the_range_besides(row):
     both = informed(row, slice(0, 2))

@@ -133,3 +133,23 @@ def test_all_parts_of_any_array_are_there_once():
         tasks = range(low, low + step * count, step)
         parts = [array_part(array(task, count, low, step)) for task in tasks]
         assert parts == [(number, count) for number in range(1, count + 1)]
+
+
+@pytest.mark.slow
+def test_two_processes_at_once_in_one_folder_make_the_same(tmp_path, capsys):
+    simulated(tmp_path / "one")
+    wanted = json.loads(capsys.readouterr().out)["content"]
+    words = [
+        sys.executable,
+        "-m",
+        "august_jax.app.cli",
+        "simulate",
+        "--preset",
+        "smoke",
+        "--out",
+        tmp_path / "both",
+        *SET,
+    ]
+    parts = [subprocess.Popen([*words, "--shard", f"{number}/2"]) for number in (1, 2)]
+    assert [part.wait() for part in parts] == [0, 0]
+    assert data.content_sum(tmp_path / "both") == wanted

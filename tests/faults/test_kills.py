@@ -53,7 +53,7 @@ def test_a_kill_at_any_write(work, power):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("work", ["simulate", "train", "reproduce"])
+@pytest.mark.parametrize("work", ["simulate", "train", "track", "reproduce", "cache"])
 def test_kills_at_any_time(work):
     found = kills(work, "--times", "40")
     assert not faults(found)

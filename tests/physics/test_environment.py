@@ -292,7 +292,10 @@ def test_a_factored_body_equals_the_coupled_solve(planes, corners, body):
     assert off(there, exact(ARRAY, planes, receiver=scattered(), **options)) < 1e-4
 
 
-@pytest.mark.parametrize(("planes", "corners"), SETTINGS[1:], ids=["corner", "constant"])
+@pytest.mark.parametrize(
+    ("planes", "corners"),
+    [pytest.param(*SETTINGS[1], marks=pytest.mark.slow, id="corner"), pytest.param(*SETTINGS[2], id="constant")],
+)
 def test_a_table_of_the_array_and_its_images_serves_too(planes, corners, body):
     """To the table's own error; the planes are near, so that a patch holds array and images."""
     near = [Plane([0.0, 0.0, -0.35], [0.0, 0.0, 1.0], planes[0].permittivity, planes[0].coefficient)]
@@ -351,6 +354,7 @@ def test_vmap_and_jit(body):
     assert off(np.asarray(many[1]), np.asarray(one)) < 1e-5
 
 
+@pytest.mark.slow
 def test_gradients_agree_with_differences(body):
     """In height, tilt, permittivity and coefficient, through the coupled solve; and in height through the body."""
     weights = np.random.default_rng(2).normal(size=(ARRAY.count,) * 2)
@@ -426,6 +430,7 @@ def test_what_goes_between_body_and_ground_falls_as_its_height_grows():
     assert np.all(np.array(errors) < stated)
 
 
+@pytest.mark.slow
 def test_information_beside_known_planes_is_that_of_differences(body):
     from scipy.spatial.transform import Rotation
 

@@ -179,12 +179,14 @@ def test_polarisations_are_right_handed_with_the_direction_at_poles_too():
     [
         ({"receive": np.ones((2, 3))}, "receive: got a vector of length 1.73"),
         ({"receive": np.ones((2, 2))}, r"receive: got shape \(2, 2\)"),
+        ({"receive": np.array([1.0, 0.0, 0.0])}, r"receive: got shape \(3,\); give unit vectors \(D, 3\)"),
+        ({"receive": np.ones((0, 3))}, r"receive: got shape \(0, 3\)"),
         ({"transmit": np.full(3, np.nan)}, "transmit: got a vector of length nan"),
         ({"frequency_hz": 3e9}, "frequency_hz: got 3e.09; a body has its own"),
         ({"contrast": np.ones(3)}, "contrast: "),
     ],
 )
-def test_bad_looks_are_refused(body, change, message):
+def test_bad_looks_are_refused(unchecked, body, change, message):
     arguments = {"receive": looking(np.zeros(2), 0.0), "contrast": CHI} | change
     with pytest.raises(ValueError, match=message):
         scattering_matrix(body, **arguments)
