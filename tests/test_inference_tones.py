@@ -94,7 +94,6 @@ def solved(craft, position):
     return np.asarray(project(jnp.asarray(channel, jnp.complex64), jnp.asarray(POSITION), known.subspace).values)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("craft", [0, 1])
 def test_coefficients_of_every_tone_are_the_coupled_solve_s_with_the_phase_between_tones(craft):
     found, wanted = np.asarray(local(craft).values), solved(craft, POSITION)
@@ -116,7 +115,6 @@ def test_a_step_in_range_turns_the_tones_against_each_other():
     assert np.diff(per_metre)[0] == pytest.approx(2.0 * apart, rel=0.05)
 
 
-@pytest.mark.slow
 def test_search_finds_craft_and_place_and_tones_tell_the_range():
     """At 30 dB. With one tone the range is off by a decimetre and more; the gain takes its phase."""
     found = {row: find_craft(library(), heard(row, 30.0), prior(), key=jax.random.key(row)) for row in range(3)}
@@ -170,7 +168,6 @@ def informed(row, tones):
     return whole[:6, :6] - whole[:6, 6:] @ np.linalg.solve(rest, whole[6:, :6])
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("row", range(3))
 def test_two_tones_hold_no_less_than_one_and_the_range_besides(row):
     both = informed(row, slice(0, 2))

@@ -95,7 +95,9 @@ def steps(within: Bounds) -> Callable[[str], _Steps]:
 def direction(text: str) -> tuple[float, ...]:
     """An argparse type: an azimuth and an elevation."""
     azimuth, elevation = numbers(2, _AZIMUTH)(text)
-    return azimuth, numbers(1, _ELEVATION)(f"{elevation:g}")[0]
+    if complaint := _ELEVATION((elevation,)):
+        raise argparse.ArgumentTypeError(f"{elevation:g} {complaint}")
+    return azimuth, elevation
 
 
 direction.takes = f"azimuth {_AZIMUTH}, elevation {_ELEVATION}"  # type: ignore[attr-defined]
