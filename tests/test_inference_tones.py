@@ -25,6 +25,7 @@ ROTATION = attitude_lattice(25.0, 40.0)[3]
 POSITION = np.asarray([4.5, 6.0, 3.2], np.float32)
 MATERIAL = (2.5, 5e-3)
 pytestmark = [
+    pytest.mark.slow,  # tables of two tones are made for these tests alone
     pytest.mark.usefixtures("optimized"),
     pytest.mark.filterwarnings("ignore:cells.volumes"),  # cells as large as these are for tests alone
 ]
