@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from august_jax.config import Config
+from august_jax.memory import memory
 
 Plan = Mapping[str, Any]
 """Names of what was found -> plain values; None where nothing is known."""
@@ -30,6 +31,11 @@ _FACTORING_S = 40.0
 """A body and tone of a thousand cells, where it is not kept yet."""
 _BASE_BYTES = 900 * 1024**2
 """The program, its libraries and the bodies."""
+_SEARCH_BYTES = 700 * 1024**2
+"""What a search compiles and keeps besides its tables: `august evaluate` of laptop's five craft took 2.74 GiB at most,
+the tables made on the way."""
+_TABLE_BYTES = 240 * 1024**2
+"""A craft's table of one tone, and what making it takes."""
 _TIMED = 3
 
 
@@ -38,8 +44,8 @@ def simulation(config: Config, out: Path, part: tuple[int, int] = (1, 1)) -> Pla
 
     Returns:
         ``rows`` of the whole set, ``rows_here`` that are there already, ``rows_left`` of this part, ``shards_left``,
-        ``disk_bytes``, ``free_bytes``, ``memory_bytes``, ``seconds`` (None for a solver without a known rate) and
-        ``factoring_seconds`` at most.
+        ``disk_bytes``, ``free_bytes``, ``memory_bytes``, ``free_memory_bytes`` (None where the system does not tell),
+        ``seconds`` (None for a solver without a known rate) and ``factoring_seconds`` at most.
 
     Raises:
         DataError: what ``august simulate`` would refuse, too.
@@ -59,7 +65,10 @@ def simulation(config: Config, out: Path, part: tuple[int, int] = (1, 1)) -> Pla
         "disk_bytes": bytes_of(config, rows),
         "free_bytes": shutil.disk_usage(_existing(out)).free,
         # a shard is gathered in pieces and put together before it is written
-        "memory_bytes": _BASE_BYTES + 2 * bytes_of(config, min(size, max(rows, 1))),
+        "memory_bytes": _BASE_BYTES
+        + 2 * bytes_of(config, min(size, max(rows, 1)))
+        + (_tables_bytes(config) if config.data.solver == "table" else 0),
+        "free_memory_bytes": _free_memory(),
         "seconds": None if rate is None else rows / rate,
         "factoring_seconds": _factoring_s(config),
     }
@@ -134,7 +143,8 @@ def evaluation(config: Config, networks: int, schemes: list[str] | None) -> Plan
 
     Returns:
         ``samples``, ``snr_db``, ``asked`` (schemes), ``searched`` slots in all, ``seconds`` at least (None for a solver
-        without a known rate), ``search_seconds``, ``factoring_seconds`` at most, ``memory_bytes``.
+        without a known rate), ``search_seconds``, ``factoring_seconds`` at most, ``memory_bytes`` and
+        ``free_memory_bytes`` (None where the system does not tell).
 
     Raises:
         ValueError: an unknown scheme.
@@ -159,8 +169,20 @@ def evaluation(config: Config, networks: int, schemes: list[str] | None) -> Plan
         "seconds": None if rate is None else evaluate.count / rate,
         "search_seconds": searched * _SEARCH_S * len(config.target.airframes) / 5.0 * tones,
         "factoring_seconds": _factoring_s(config),
-        "memory_bytes": _BASE_BYTES + 4 * bytes_of(config, evaluate.count),
+        "memory_bytes": _BASE_BYTES
+        + 4 * bytes_of(config, evaluate.count)
+        + (_SEARCH_BYTES + _tables_bytes(config) if searched else 0),
+        "free_memory_bytes": _free_memory(),
     }
+
+
+def _tables_bytes(config: Config) -> int:
+    return _TABLE_BYTES * len(config.target.airframes) * len(config.array.frequencies_hz)
+
+
+def _free_memory() -> int | None:
+    found = memory()
+    return None if found is None else found.free
 
 
 def _rate(config: Config) -> float | None:

@@ -68,6 +68,23 @@ def test_an_evaluation(capsys, tmp_path, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
+def test_memory_counts_what_is_searched_with_and_what_is_free(monkeypatch, tmp_path):
+    laptop, table = preset("laptop"), 240 * 1024**2
+    searched, unsearched = (
+        plan.evaluation(override(laptop, [f"evaluate.searched={count}"]), 1, None)["memory_bytes"] for count in (20, 0)
+    )
+    assert searched - unsearched > 5 * table  # of five craft
+    by_table, by_mom = (
+        plan.simulation(override(laptop, [f"data.solver={name}"]), tmp_path)["memory_bytes"]
+        for name in ("table", "mom")
+    )
+    assert by_table - by_mom == 5 * table
+    monkeypatch.setattr(plan, "memory", lambda: memory.Memory(2 * 1024**3, 1024**3))
+    told = short_of(plan.evaluation(laptop, 1, None))
+    assert "are free" in told and "evaluate.searched=0" in told
+    assert short_of(plan.simulation(laptop, tmp_path)) is None
+
+
 def test_a_predictor_is_not_planned(capsys):
     assert cli.main(["train", "--target", "predictor", "--dry-run"]) == 2
     assert "a minute" in capsys.readouterr().err

@@ -36,6 +36,12 @@ def short_of(plan: Mapping[str, Any]) -> str | None:
     wanted, free = plan.get("disk_bytes"), plan.get("free_bytes")
     if wanted is not None and free is not None and wanted > free:
         return f"the disk has {size(free)} free; make room, choose another --out, or ask for less"
+    wanted, free = plan.get("memory_bytes"), plan.get("free_memory_bytes")
+    if wanted is not None and free is not None and wanted > free:
+        return (
+            f"it takes about {size(wanted)} of memory, and {size(free)} are free; end other programs, name fewer "
+            "drones (target.airframes), or leave searches out (evaluate.searched=0)"
+        )
     if plan.get("batch_fits") is not None:
         return (
             f"train.batch: {plan['batch']} asks for {size(plan['memory_bytes'])} of memory, and "
