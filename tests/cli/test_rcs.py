@@ -96,7 +96,10 @@ def test_a_mesh_s_unit_and_axes_are_kept_and_asked_for_again(tmp_path, capsys):
     craft.apply_scale(1000.0)
     craft.export(tmp_path / "mine.stl")
     words = ["rcs", "--mesh", f"{tmp_path}/mine.stl", "--unit", "mm", *COARSE, "--azimuth", "0", "--elevation", "0"]
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "tmatrix.npz").write_bytes(b"of another craft")
     assert cli.main([*words, "--out", f"{tmp_path}/out"]) == 0
+    assert not (tmp_path / "out" / "tmatrix.npz").exists()
     (line,) = (line for line in capsys.readouterr().out.splitlines() if line.startswith("next:"))
     following = parse(shlex.split(line.removeprefix("next:").partition("#")[0])[1:], cli.COMMANDS)
     assert (following.unit, following.up, following.forward) == ("mm", "z", "x")

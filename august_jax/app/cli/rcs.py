@@ -227,6 +227,9 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
     names = ["rcs.npz", "rcs.html", "rcs.png", "rcs.mat", "rcs.csv"]
     names += ["tmatrix.npz", "tmatrix.mat"] if matrices is not None else []
     with replacing_together(out, names) as aside:
+        if matrices is None:  # those of another craft, maybe
+            for suffix in ("npz", "mat"):
+                (out / f"tmatrix.{suffix}").unlink(missing_ok=True)
         for suffix in ("npz", "mat"):
             write_record(aside[f"rcs.{suffix}"], record, described=DESCRIBED)
             if matrices is not None:
