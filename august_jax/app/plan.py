@@ -51,10 +51,11 @@ def simulation(config: Config, out: Path, part: tuple[int, int] = (1, 1)) -> Pla
         DataError: what ``august simulate`` would refuse, too.
     """
     from august_jax.data import bytes_of
-    from august_jax.data.shards import missing_shards
+    from august_jax.data.shards import is_of_part, missing_shards
 
     count, size = config.data.count, config.data.shard_rows
-    everywhere, left = missing_shards(config, out), missing_shards(config, out, part=part)
+    everywhere = missing_shards(config, out)
+    left = {number: span for number, span in everywhere.items() if is_of_part(number, part)}
     rows = sum(high - low for low, high in left.values())
     rate = _rate(config)
     return {

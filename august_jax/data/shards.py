@@ -93,7 +93,7 @@ def simulate(
     digest = identity(config)
     began = time.perf_counter()
     with _sharing(folder, part):
-        missing = missing_shards(config, folder, part=part, verify=verify)
+        missing = _missing(folder, config, digest, part, verify)
         written, total = 0, sum(high - low for low, high in missing.values())
         _check_room(folder, config, total, progress)
         targets = prepare_targets(config, progress) if missing else []
@@ -121,21 +121,30 @@ def simulate(
     return manifest | {"written": written, "seconds": seconds, "samples_per_s": written / max(seconds, 1e-9)}
 
 
-def missing_shards(
-    config: Config, folder: Path, *, part: tuple[int, int] = (1, 1), verify: bool = False
-) -> dict[int, tuple[int, int]]:
+def missing_shards(config: Config, folder: Path) -> dict[int, tuple[int, int]]:
     """Number of each shard that :func:`simulate` would make, with its rows, the first one and the end.
 
     Raises:
         DataError: the folder holds data of another configuration, or more than are asked for.
     """
-    digest, count, size = identity(config), config.data.count, config.data.shard_rows
+    return _missing(folder, config, identity(config), (1, 1), False)
+
+
+def is_of_part(number: int, part: tuple[int, int]) -> bool:
+    """Whether a shard is made by part (i, n)."""
+    return number % part[1] == part[0] - 1
+
+
+def _missing(
+    folder: Path, config: Config, digest: str, part: tuple[int, int], verify: bool
+) -> dict[int, tuple[int, int]]:
+    count, size = config.data.count, config.data.shard_rows
     _check_same(folder, config, digest)
     spans = {number: (start, min(start + size, count)) for number, start in enumerate(range(0, count, size))}
     return {
         number: span
         for number, span in spans.items()
-        if number % part[1] == part[0] - 1 and not _complete(folder / shard_name(number), span, digest, verify)
+        if is_of_part(number, part) and not _complete(folder / shard_name(number), span, digest, verify)
     }
 
 

@@ -10,7 +10,9 @@ from august_jax.app import cli
 from august_jax.app.cli.messages import worded
 from august_jax.app.cli.parser import parser_of
 from august_jax.config import describe
+from august_jax.scene.mesh_files.frame import AUTO, AXES, UNITS_M
 from august_jax.schemes import SCHEMES
+from august_jax.tracking.predictors import PREDICTORS
 
 PLAIN = {"--seed", "--slots", "--search", "--known", "--devices", "--index", "--shard", "--host", "--permittivity"}
 """Numbers that have no unit."""
@@ -48,6 +50,11 @@ def test_defaults_are_shown_as_they_are_typed(name):
 def test_names_that_help_gives_are_those_that_there_are():
     told = {action.option_strings[-1]: action.type for action in options("evaluate")}
     assert set(told["--schemes"].known) == set(SCHEMES)
+    told = {action.option_strings[-1]: action.type for action in options("rcs")}
+    assert set(told["--unit"].known) == {AUTO, *UNITS_M}
+    assert set(told["--up"].known) == set(told["--forward"].known) == {AUTO, *AXES}
+    told = {action.option_strings[-1]: action.type for action in options("track")}
+    assert set(told["--predictor"].known) == set(PREDICTORS)
 
 
 def completed(shell, *words):

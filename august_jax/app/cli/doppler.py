@@ -158,7 +158,7 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
         "conductivity_s_m": conductivity,
         "half_wheelbase_m": airframe.half_wheelbase_m,
         "airframe_name": airframe.name,
-        **kept(args, config, {}),
+        **kept(args, config),
     }
     with replacing_together(out, ("doppler.npz", "doppler.mat", "doppler.png")) as aside:
         for suffix in ("npz", "mat"):

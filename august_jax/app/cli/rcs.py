@@ -196,7 +196,7 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
         "half_wheelbase_m": airframe.half_wheelbase_m,
         **({} if args.transmit is None else {"transmit_deg": np.asarray(args.transmit)}),
         "airframe_name": airframe.name,
-        **kept(args, config, made),
+        **kept(args, config, made.get("craft")),
     }
     summary: list[dict[str, Any]] = [
         {"frequency_hz": each, "polarisation": name, **_summary(entries[name][..., row], elevation)}
