@@ -62,6 +62,6 @@ def test_a_kill_at_any_write(work, power):
 @pytest.mark.slow
 @pytest.mark.parametrize("work", ["simulate", "train", "track", "reproduce", "cache"])
 def test_kills_at_any_time(work):
-    found = kills(work, "--times", "40")
+    found = kills(work, "--times", "100" if work == "cache" else "40")  # its work is short: most come after the end
     assert not faults(found)
-    assert sum(each["killed"] for each in found) > 10  # the others came after the end
+    assert sum(each["killed"] for each in found) > 20
