@@ -31,7 +31,7 @@ def batch_for(encoder):
     "scheme, encoder",
     [
         pytest.param(scheme, encoder, marks=() if (scheme, encoder) in quick else pytest.mark.slow)
-        for quick in [{("refchannel", "roi"), ("noebd", "paper")}]
+        for quick in [{("refchannel", "roi")}]
         for scheme in ("august", "noebd", "nolatent", "refchannel")
         for encoder in ("paper", "roi")
     ],

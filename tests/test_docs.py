@@ -51,11 +51,11 @@ def schemes():
     SCHEMES.update(before)
 
 
-@pytest.mark.parametrize(
-    # searches take minutes
-    "page",
-    [pytest.param(page, marks=pytest.mark.slow) if page == "docs/inference.md" else page for page in RUN],
-)
+LONG = {"docs/inference.md", "docs/model.md", "docs/simulator.md"}
+"""Pages whose examples take a minute or more."""
+
+
+@pytest.mark.parametrize("page", [pytest.param(page, marks=pytest.mark.slow) if page in LONG else page for page in RUN])
 def test_every_example_of_a_page_runs_in_order(schemes, page, request):
     if "find_craft" in text_of(page):
         request.getfixturevalue("optimized")

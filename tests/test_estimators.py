@@ -262,7 +262,7 @@ def test_least_squares_is_that_of_the_singular_values(shape, mirror):
             assert np.linalg.norm(made.channel - slow) < 1e-4 * np.linalg.norm(slow)
 
 
-@pytest.mark.parametrize("pilots", ["unitary", "gaussian"])
+@pytest.mark.parametrize("pilots", ["unitary", pytest.param("gaussian", marks=pytest.mark.slow)])
 def test_least_squares_has_a_gradient_where_eigenvalues_meet(pilots):
     """In the echo's gain, which sets the power, and in the place that the beams point to: against differences."""
     channels, predictions = scenes("paper")

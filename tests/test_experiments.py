@@ -269,6 +269,7 @@ def test_stored_results_obey_the_law_and_are_drawn(study, tmp_path, monkeypatch)
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("optimized")  # searches among them
 @pytest.mark.filterwarnings("ignore:cells.volumes")  # small studies take coarse cells
 @pytest.mark.parametrize("study", STUDIES)
 def test_a_study_computed_small_obeys_the_law_and_is_drawn(study, tmp_path, monkeypatch):

@@ -172,8 +172,9 @@ def noise(shape, seed=0):
     return jnp.asarray((rng.normal(size=shape) + 1j * rng.normal(size=shape)) / np.sqrt(2.0), jnp.complex64)
 
 
+NOISE = "noise where an echo was sent for"
 SILENT = {
-    "noise where an echo was sent for": lambda: slot()[1]._replace(received=noise(slot()[1].received.shape)),
+    NOISE: lambda: slot()[1]._replace(received=noise(slot()[1].received.shape)),
     "silence where an echo was sent for": lambda: slot()[1]._replace(received=0.0 * slot()[1].received),
 }
 
@@ -185,7 +186,7 @@ def finite(found):
     np.testing.assert_allclose(found.craft_probability.sum(), 1.0, rtol=1e-5)
 
 
-@pytest.mark.parametrize("name", SILENT)
+@pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.slow] * (name == NOISE)) for name in SILENT])
 def test_where_nothing_is_heard_it_is_said(name):
     """Of eight antennas an attitude in which a craft sends next to nothing back explains silence."""
     found = searched(SILENT[name]())

@@ -29,7 +29,8 @@ def test_what_fits_is_compiled_once_and_runs(asked, monkeypatch):
     assert int(state.step) == 1 and float(numbers["loss"]) > 0.0
 
 
-@pytest.mark.parametrize("share", [pytest.param(0.8, marks=pytest.mark.slow), 0.5])
+@pytest.mark.slow
+@pytest.mark.parametrize("share", [0.8, 0.5])
 def test_too_much_is_answered_with_a_batch_that_fits(asked, monkeypatch, share):
     loss, state, batch, mesh, needed = asked
     monkeypatch.setattr(memory, "for_a_program", lambda _: int(share * needed))

@@ -288,7 +288,11 @@ def test_weights_come_back_in_full_or_half_precision(tmp_path):
     # float16 keeps 11 bits; below 6e-5 it is subnormal
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=2**-11, atol=6e-8), half, arrays)
     assert (tmp_path / "half.npz").stat().st_size < 0.8 * (tmp_path / "full.npz").stat().st_size
-    assert "denoiser.layers.0.gate.kernel" in np.load(tmp_path / "full.npz").files
+    with np.load(tmp_path / "full.npz") as stored:
+        assert "denoiser.layers.0.gate.kernel" in stored.files and stored["format"] == 1
+        np.savez(tmp_path / "first.npz", **{name: stored[name] for name in stored.files if name != "format"})
+    # as version 0.1 wrote them
+    jax.tree.map(np.testing.assert_array_equal, load_weights(tmp_path / "first.npz", CONFIG)[1], arrays)
     with pytest.raises(ValueError, match="not finite in float16; nothing written"):
         save_weights(tmp_path / "big.npz", jax.tree.map(lambda leaf: leaf + np.float32(1e6), arrays), half=True)
     assert not (tmp_path / "big.npz").exists()
@@ -319,6 +323,7 @@ def damaged(finished, tmp_path_factory):
     np.savez(folder / "infinite.npz", **arrays | {name: np.full(arrays[name].shape, 1e300)})
     np.savez(folder / "whole.npz", **arrays | {name: np.zeros(arrays[name].shape, int)})
     np.savez(folder / "alien.npz", nothing=np.zeros(3))
+    np.savez(folder / "later.npz", **arrays | {"format": np.int32(2)})
     return folder
 
 
@@ -327,6 +332,7 @@ def damaged(finished, tmp_path_factory):
     [
         ("missing", FileNotFoundError, "missing.npz"),
         ("torn", DamagedFile, "torn.npz: is damaged"),
+        ("later", ValueError, r"later.npz: .*another version .*\(format 2, wanted 1\); train them again with `august"),
         ("nan", ValueError, "nan.npz: mean_head.layers.0.kernel holds NaN or infinity"),
         ("infinite", ValueError, "infinite.npz: mean_head.layers.0.kernel holds NaN or infinity"),
         ("whole", ValueError, "whole.npz: mean_head.layers.0.kernel holds int64 and no real numbers"),

@@ -15,13 +15,18 @@ from jaxtyping import Float
 from august_jax.arrays import Array
 from august_jax.files import DamagedFile, read_npz
 
+FORMAT = 1
+"""What a file of weights says of itself beside the arrays: raised where the same names and shapes come to mean another
+network. A file that says nothing is of format 1."""
+
 
 def read_weights(path: str | Path) -> dict[str, Float[np.ndarray, "..."]]:
     """The arrays that ``training.save_weights`` wrote, by dotted name, as float32.
 
     Raises:
         FileNotFoundError: no such file.
-        ValueError: the file is damaged (a ``files.DamagedFile``), or an array holds what is no finite number.
+        ValueError: the file is damaged (a ``files.DamagedFile``), of another format, or an array holds what is no
+            finite number.
     """
     try:
         arrays = read_npz(path)
@@ -29,6 +34,12 @@ def read_weights(path: str | Path) -> dict[str, Float[np.ndarray, "..."]]:
         raise DamagedFile(
             f"{error}; train once more into its folder, which writes it again from the last checkpoint"
         ) from None
+    made = arrays.pop("format", np.asarray(FORMAT))
+    if made.shape or made.dtype.kind not in "iu" or made != FORMAT:
+        raise ValueError(
+            f"{path}: holds weights of another version of august_jax (format {made}, wanted {FORMAT}); "
+            "train them again with `august train`, in another folder, or use the version that wrote them"
+        )
     for name, leaf in arrays.items():
         if leaf.dtype.kind != "f":
             raise ValueError(f"{path}: {name} holds {leaf.dtype} and no real numbers; it is no file of weights")

@@ -26,7 +26,7 @@ from flax import nnx
 from august_jax.config import Config
 from august_jax.files import flush_tree, replacing
 from august_jax.models import State, create
-from august_jax.models.weights import compare, flatten, read_weights
+from august_jax.models.weights import FORMAT, compare, flatten, read_weights
 from august_jax.progress import Progress
 from august_jax.training.step import ParameterLayout, TrainState
 
@@ -160,7 +160,7 @@ class Checkpoints:
 
 
 def save_weights(path: str | Path, state: State, *, half: bool = False) -> None:
-    """Write the networks' parameters as .npz, one array a dotted name; the file appears whole or not at all.
+    """Write the networks' parameters as .npz, one array a dotted name, and the ``format``; whole or not at all.
 
     Args:
         state: parameters as ``models.create`` returns them, or their moving average.
@@ -178,7 +178,7 @@ def save_weights(path: str | Path, state: State, *, half: bool = False) -> None:
             raise ValueError(f"state: {name} holds values that are not finite{' in float16' * half}; nothing written")
     # into an open file: to a path without the suffix NumPy would add it, and write beside what takes the place
     with replacing(path) as aside, aside.open("wb") as file:
-        np.savez(file, **arrays)  # type: ignore[arg-type]
+        np.savez(file, **arrays, format=np.int32(FORMAT))  # type: ignore[arg-type]
 
 
 def load_weights(path: str | Path, config: Config) -> tuple[nnx.GraphDef, State]:

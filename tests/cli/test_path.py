@@ -171,6 +171,7 @@ def test_evaluate_rows(capsys, home, monkeypatch, unchecked):
     assert (home / "evaluation" / "evaluation.png").is_file()
 
 
+@pytest.mark.slow
 def test_another_of_the_compared_networks_trains_and_stands_beside(capsys, home):
     """By one override on the same data; its reference channels are made by table on the way."""
     other = home / "reference"

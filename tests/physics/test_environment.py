@@ -277,7 +277,14 @@ SETTINGS = [
 ]
 
 
-@pytest.mark.parametrize(("planes", "corners"), SETTINGS, ids=["slope and wall", "corner", "constant"])
+@pytest.mark.parametrize(
+    ("planes", "corners"),
+    [
+        pytest.param(*SETTINGS[0], marks=pytest.mark.slow, id="slope and wall"),
+        pytest.param(*SETTINGS[1], id="corner"),
+        pytest.param(*SETTINGS[2], id="constant"),
+    ],
+)
 def test_a_factored_body_equals_the_coupled_solve(planes, corners, body):
     options = {"corners": corners}
     fast = np.asarray(environment_channel(body, ARRAY, TURN, PLACE, CHI, planes, **options))

@@ -34,11 +34,22 @@ def loss(positions, strength, solver):
 gradient = jax.jit(jax.value_and_grad(loss, (0, 1)), static_argnums=2)
 
 
+@jax.jit
+def found_at(positions, chi):
+    """The channel of CELLS elsewhere, of contrast chi (N,)."""
+    return sensing_channel(ARRAY, CELLS._replace(positions=positions), chi, solver="krylov")
+
+
+def each_cell(chi):
+    """One contrast for every cell, or one each: in a single form, so that one compilation serves all."""
+    return jnp.broadcast_to(jnp.asarray(chi, jnp.complex64), (CELLS.count,))
+
+
 @pytest.mark.parametrize("chi", [0.5, 3.5 + 0.05j, MIXED])
 def test_the_channel_equals_that_of_lu(chi):
-    chi = jnp.broadcast_to(jnp.asarray(chi, jnp.complex64), (CELLS.count,))  # one compilation serves all
+    chi = each_cell(chi)
     slow = sensing_channel(ARRAY, CELLS, chi)
-    fast = sensing_channel(ARRAY, CELLS, chi, solver="krylov")
+    fast = found_at(CELLS.positions, chi)
     assert jnp.linalg.norm(fast - slow) < 1e-5 * jnp.linalg.norm(slow)
     np.testing.assert_array_equal(fast, fast.T)
 
@@ -115,7 +126,7 @@ def test_planes_do_what_the_matrix_does(away, few):
     fields = weighted_fields(
         cells, dipole_fields(cells.positions, jnp.asarray(ARRAY.positions, jnp.float32), jnp.array([0.0, 0.0, 1.0]), k)
     )
-    slow = jax.jit(solve_krylov)(interaction_matrix(cells, k), chi, fields)
+    slow = compiled_solve(interaction_matrix(cells, k), chi, fields, tolerance=TOLERANCE)
     fast = jax.jit(solve_moving)(cells, k, chi, fields)
     assert bool(jnp.all(fast.combinations[:, 8:] == 0)) == few
     assert not fast.by_lu and jnp.linalg.norm(fast.fields - slow.fields) < 2 * TOLERANCE * jnp.linalg.norm(slow.fields)
@@ -133,6 +144,7 @@ def test_planes_do_what_the_matrix_does(away, few):
         assert 0 < jnp.linalg.norm(a - b) + jnp.linalg.norm(b) and jnp.linalg.norm(a - b) < 2e-5 * jnp.linalg.norm(b)
 
 
+@pytest.mark.slow
 def test_forward_mode_agrees_with_reverse():
     way = jnp.asarray(np.random.default_rng(3).normal(size=CELLS.positions.shape), jnp.float32)
     strength = jnp.full(CELLS.count, 3.0)
@@ -165,7 +177,8 @@ def test_the_gradient_sees_the_coupling():
     assert jnp.linalg.norm(coupled - alone) > 0.2 * jnp.linalg.norm(coupled)
 
 
-@pytest.mark.parametrize("size", [2, None])  # of its own accord, one
+# of its own accord, one
+@pytest.mark.parametrize("size", [2, pytest.param(None, marks=pytest.mark.slow)])
 def test_a_batch_does_not_depend_on_how_many_are_in_flight(size):
     shifts = jnp.array([[0.0, 0.0, 0.0], [0.3, -0.1, 0.2], [0.1, 0.2, 0.0]])
     chi = jnp.array([1.0, 2.0, 3.0])
@@ -173,7 +186,7 @@ def test_a_batch_does_not_depend_on_how_many_are_in_flight(size):
     many = many._replace(positions=CELLS.positions + shifts[:, None])
     found = sensing_channels(ARRAY, many, chi, solver="krylov", microbatch=size)
     for row in range(3):
-        alone = sensing_channel(ARRAY, CELLS._replace(positions=CELLS.positions + shifts[row]), chi[row])
+        alone = found_at(CELLS.positions + shifts[row], each_cell(chi[row]))
         assert jnp.linalg.norm(found[row] - alone) < 1e-5 * jnp.linalg.norm(alone)
 
 
@@ -193,10 +206,8 @@ def test_second_derivatives_raise_and_do_not_mislead():
 def test_batches_by_vmap():
     shifts = jnp.array([[0.0, 0.0, 0.0], [0.3, -0.1, 0.2]])
 
-    def one(shift):
-        return sensing_channel(ARRAY, CELLS._replace(positions=CELLS.positions + shift), 2.0, solver="krylov")
-
-    many = jax.jit(jax.vmap(one))(shifts)
+    chi = each_cell(2.0)
+    many = jax.jit(jax.vmap(lambda shift: found_at(CELLS.positions + shift, chi)))(shifts)
     for row, shift in enumerate(shifts):
-        alone = one(shift)
+        alone = found_at(CELLS.positions + shift, chi)
         assert jnp.linalg.norm(many[row] - alone) < 1e-5 * jnp.linalg.norm(alone)
