@@ -29,6 +29,7 @@ def imported(folder: str, name: str, monkeypatch: pytest.MonkeyPatch) -> ModuleT
     spec = importlib.util.spec_from_file_location(f"{folder}_{name}", ROOT / folder / f"{name}.py")
     assert spec and spec.loader
     module = importlib.util.module_from_spec(spec)
+    monkeypatch.setitem(sys.modules, spec.name, module)  # where a dataclass looks its annotations up
     spec.loader.exec_module(module)
     return module
 

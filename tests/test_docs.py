@@ -88,6 +88,47 @@ def test_every_command_line_of_a_page_parses(page):
             configuration.override(preset, arguments.overrides)
 
 
+SMALL = {
+    "simulate": ["data.count=20", "data.shard_rows=10"],
+    "train": ["train.steps=2", "train.batch=5", "train.log_every=1", "train.save_every=2"],
+    "evaluate": ["evaluate.count=2", "evaluate.snr_db=[20]", "evaluate.searched=1"],
+    "reconstruct": [],
+}
+"""What is added to a command that takes hours."""
+OURS = ["README.md", "docs/model.md", "docs/results.md"]
+"""Pages whose blocks hold commands for one machine; those of docs/scale.md, for a cluster, have tests of their own."""
+
+
+def test_blocks_of_commands_are_run_or_known():
+    told = {
+        page for page in PAGES if any(line.startswith("august ") for line in "".join(blocks(page, "bash")).split("\n"))
+    }
+    assert told == {*OURS, "docs/scale.md"}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", OURS)
+def test_every_block_of_commands_runs_in_order(page, tmp_path, monkeypatch, optimized):
+    """Of a drone of the reader's, with few samples and steps."""
+    from august_jax.app import cli
+    from august_jax.config import override, preset
+    from august_jax.scene import procedural_airframe
+
+    mesh = procedural_airframe("quad_x", 0.25).mesh
+    mesh.export(tmp_path / "drone.stl")
+    mesh.export(tmp_path / "hector_quadrotor.ply")
+    monkeypatch.chdir(tmp_path)
+    for block in blocks(page, "bash"):
+        for line in block.replace(",...]", "]").splitlines():
+            if line.startswith("august "):
+                words = shlex.split(line)[1:]
+                small = SMALL[words[0]]
+                if "train.source=stream" in words:
+                    small = [*small, "target.airframes=[quad_x]"]
+                override(preset("laptop"), small)  # what is added is said in today's words
+                assert cli.main([*words, *small]) == 0, line
+
+
 @pytest.mark.parametrize("page", PAGES)
 def test_every_override_of_a_page_is_one(page):
     """Each stands for itself; where it does not go with one preset it goes with another."""

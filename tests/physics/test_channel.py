@@ -176,8 +176,10 @@ def test_energy_balance(exact, tolerance):
     assert absorbed > 0.05 * extinction and radiated > 0.05 * extinction
 
 
-@pytest.mark.parametrize("solver", ["mom", "krylov"])
-def test_materials_may_differ_by_part_metal_among_them(solver):
+# Beside a contrast of 2 one of 6e5 costs LU of I - D K' three digits (1e-4, or 1.6e-4 as users compile it); krylov's
+# form, symmetric in D, loses none.
+@pytest.mark.parametrize("solver, most", [("mom", 4e-4), ("krylov", 1e-5)])
+def test_materials_may_differ_by_part_metal_among_them(solver, most):
     """An arm of plastic, a tip of carbon fibre and a metal-like block, against the twin in complex128."""
     cells = placed(cross(fill=0.6))
     chi = np.full(cells.count, CHI)
@@ -186,7 +188,7 @@ def test_materials_may_differ_by_part_metal_among_them(solver):
     with pytest.warns(UserWarning, match="skin depths of their material"):  # such a metal is not resolved, but solved
         channel = np.asarray(sensing_channel(ARRAY, cells, jnp.asarray(chi, jnp.complex64), solver=solver))
     exact = twin(ARRAY, cells, chi.astype(np.complex64))
-    assert np.linalg.norm(channel - exact) < 1e-4 * np.linalg.norm(exact)
+    assert np.linalg.norm(channel - exact) < most * np.linalg.norm(exact)
 
 
 def test_coarse_cells_are_warned_of_with_the_number():
