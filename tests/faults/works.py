@@ -33,6 +33,7 @@ from august_jax.data import shards
 from august_jax.data.fields import Sample
 from august_jax.files import read_json, read_npz, replacing
 from august_jax.models import Networks
+from august_jax.models.weights import read_weights
 from august_jax.tracking import Track
 from august_jax.training.checkpoint import Checkpoints
 from august_jax.training.step import TrainState
@@ -189,7 +190,7 @@ def restored(folder: Path) -> tuple[int, str]:
 
 def look_at_run(folder: Path) -> None:
     if (folder / "weights.npz").exists():
-        assert set(read_npz(folder / "weights.npz")) == {"kernel"}
+        assert set(read_weights(folder / "weights.npz")) == {"kernel"}
     if (folder / "config.yaml").exists():
         read(folder / "config.yaml")
     if any(path.name.isdigit() for path in (folder / "checkpoints").glob("*")):
