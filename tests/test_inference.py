@@ -176,6 +176,7 @@ def test_statistics_hold_the_likelihood_of_the_whole_echo():
     np.testing.assert_allclose(np.diff(few), np.diff(whole), rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_moved_statistics_are_those_about_another_place():
     statistics = heard(0, 20.0)
     place = statistics.centre + jnp.asarray([0.1, 0.05, -0.1])
@@ -186,9 +187,8 @@ def test_moved_statistics_are_those_about_another_place():
     assert 0.9 < kept <= 1.0 + 1e-5
 
 
-@pytest.mark.parametrize(
-    "snr_db, slots", [(30.0, 2), *(pytest.param(snr_db, 6, marks=pytest.mark.slow) for snr_db in (20.0, 30.0))]
-)
+@pytest.mark.slow  # the ordinary suite finds a craft at its largest tilt, and follows a flight
+@pytest.mark.parametrize("snr_db, slots", [(30.0, 2), (20.0, 6), (30.0, 6)])
 def test_search_is_as_good_as_from_the_truth_and_leaves_what_noise_leaves(snr_db, slots):
     good = explained = 0
     for row in range(slots):

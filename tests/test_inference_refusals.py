@@ -218,7 +218,9 @@ REFUSED_COMMANDS = {
 }
 
 
-@pytest.mark.parametrize("name", REFUSED_COMMANDS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name == "a craft twice")) for name in REFUSED_COMMANDS]
+)
 def test_the_command_line_refuses_in_a_few_lines(name, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     words, wanted = REFUSED_COMMANDS[name]

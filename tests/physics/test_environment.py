@@ -281,7 +281,7 @@ SETTINGS = [
     ("planes", "corners"),
     [
         pytest.param(*SETTINGS[0], marks=pytest.mark.slow, id="slope and wall"),
-        pytest.param(*SETTINGS[1], id="corner"),
+        pytest.param(*SETTINGS[1], marks=pytest.mark.slow, id="corner"),
         pytest.param(*SETTINGS[2], id="constant"),
     ],
 )

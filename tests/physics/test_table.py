@@ -98,7 +98,8 @@ def test_antennas_one_by_one_make_the_planar_array(table):
 
 
 @pytest.mark.parametrize(
-    ("name", "width"), [("place", 1e-3), ("turn", 5e-3), ("permittivity", 0.05), ("antennas", 1e-3)]
+    ("name", "width"),
+    [("place", 1e-3), ("turn", 5e-3), ("permittivity", 0.05), pytest.param("antennas", 1e-3, marks=pytest.mark.slow)],
 )
 def test_slopes_are_those_of_differences_and_of_the_factored_body(name, width, body, table):
     """A table errs by a part in a thousand; its slopes, over the length of a fringe, by a little more."""
@@ -160,6 +161,7 @@ def test_stacked_tables_serve_craft_by_number_and_by_vmap(tables):
         assert off(each[int(craft), row], one) < 1e-5
 
 
+@pytest.mark.slow
 def test_tones_are_tabulated_apart_and_kept_in_their_order():
     tones = (2.9e9, 3.1e9)
     cells = cross(arm=3)
