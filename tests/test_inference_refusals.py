@@ -209,7 +209,10 @@ COARSE = (
     "evaluate.snr_db=[20]",
 )
 REFUSED_COMMANDS = {
-    "a craft twice": (("target.airframes=[hexa,hexa]", *COARSE), ("targets", "hexa", "twice", "evaluate.searched=0")),
+    "a craft twice": (
+        ("target.airframes=[hexa,hexa]", *COARSE),
+        ("target.airframes", "hexa", "twice", "evaluate.searched=0"),
+    ),
     "no craft": (("target.airframes=[]",), ("target.airframes", "[]")),
     "other tones than the weights": (
         ("array.tones_hz=[2.96e9,3.04e9]",),
@@ -218,9 +221,7 @@ REFUSED_COMMANDS = {
 }
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name == "a craft twice")) for name in REFUSED_COMMANDS]
-)
+@pytest.mark.parametrize("name", REFUSED_COMMANDS)
 def test_the_command_line_refuses_in_a_few_lines(name, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     words, wanted = REFUSED_COMMANDS[name]

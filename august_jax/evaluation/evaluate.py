@@ -170,7 +170,7 @@ def asked_of(config: Config, schemes: Sequence[str] | None = None) -> list[str]:
 
     Raises:
         ValueError: an unknown scheme.
-        ConfigError: nobody is left to ask.
+        ConfigError: nobody is left to ask, or a search is wanted among craft of which one is named twice.
     """
     for name in schemes or ():
         if name not in SCHEMES:
@@ -186,6 +186,13 @@ def asked_of(config: Config, schemes: Sequence[str] | None = None) -> list[str]:
             f"schemes: {', '.join(wanted) or 'none'} leaves nobody to ask under evaluate.searched="
             f"{config.evaluate.searched} and data.solver={config.data.solver}; a search wants some slots and bodies "
             "(mom or table)"
+        )
+    crafts = config.target.airframes
+    twice = next((name for place, name in enumerate(crafts) if name in crafts[:place]), None)
+    if twice is not None and any(SCHEMES[name].slow for name in asked):
+        raise ConfigError(
+            f"target.airframes: names {twice} twice, which a search could not tell apart; name each craft once, or set "
+            "evaluate.searched=0, which leaves the search out"
         )
     return asked
 
