@@ -176,9 +176,9 @@ def test_energy_balance(exact, tolerance):
     assert absorbed > 0.05 * extinction and radiated > 0.05 * extinction
 
 
-# Beside a contrast of 2 one of 6e5 costs LU of I - D K' three digits (1e-4, or 1.6e-4 as users compile it); krylov's
-# form, symmetric in D, loses none.
-@pytest.mark.parametrize("solver, most", [("mom", 4e-4), ("krylov", 1e-5)])
+# Beside a contrast of 2 one of 6e5 costs LU of I - D K' three digits (9.6e-5 here, 1.6e-4 as users compile it);
+# krylov's form, symmetric in D, loses none.
+@pytest.mark.parametrize("solver, most", [("mom", 1e-4), ("krylov", 1e-5)])
 def test_materials_may_differ_by_part_metal_among_them(solver, most):
     """An arm of plastic, a tip of carbon fibre and a metal-like block, against the twin in complex128."""
     cells = placed(cross(fill=0.6))
