@@ -30,8 +30,7 @@ def batch_for(encoder):
 @pytest.mark.parametrize(
     "scheme, encoder",
     [
-        pytest.param(scheme, encoder, marks=() if (scheme, encoder) in quick else pytest.mark.slow)
-        for quick in [{("refchannel", "roi")}]
+        pytest.param(scheme, encoder, marks=() if (scheme, encoder) == ("refchannel", "roi") else pytest.mark.slow)
         for scheme in ("august", "noebd", "nolatent", "refchannel")
         for encoder in ("paper", "roi")
     ],

@@ -130,6 +130,11 @@ def near(word: str, known: Sequence[str]) -> str:
     return f"did you mean {found[0]!r}?" if found else ""
 
 
+def repeated(names: Sequence[Any]) -> Any:
+    """The first of the names that was there before; None if each is there once."""
+    return next((name for place, name in enumerate(names) if name in names[:place]), None)
+
+
 def shown(value: Any) -> str:
     """A value as a user would write it."""
     if isinstance(value, (tuple, list)):

@@ -12,7 +12,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from august_jax.config.fields import ConfigError, checked, hints, near, parted
+from august_jax.config.fields import ConfigError, checked, hints, near, parted, repeated
 from august_jax.config.schema import Config
 
 _SUMMED = re.compile(r"# check sum of the lines below: ([0-9a-f]{16})\n")
@@ -194,7 +194,7 @@ def _loader() -> Any:
 
         def construct_mapping(self, node: Any, deep: bool = False) -> Any:
             names = [key.value for key, _ in node.value]
-            twice = next((name for place, name in enumerate(names) if name in names[:place]), None)
+            twice = repeated(names)
             if twice is not None:
                 raise yaml.constructor.ConstructorError(problem=f"{twice} is given twice")
             return super().construct_mapping(node, deep)

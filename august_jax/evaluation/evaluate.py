@@ -19,7 +19,7 @@ from flax import nnx
 
 from august_jax import streams
 from august_jax.config import Config, ConfigError, check_weights
-from august_jax.config.fields import near
+from august_jax.config.fields import near, repeated
 from august_jax.data import Dataset, Sample, Target, batch_of, fresh_samples, observed_anew, prepare_targets
 from august_jax.evaluation import metrics
 from august_jax.evaluation.bound import Bound
@@ -187,8 +187,7 @@ def asked_of(config: Config, schemes: Sequence[str] | None = None) -> list[str]:
             f"{config.evaluate.searched} and data.solver={config.data.solver}; a search wants some slots and bodies "
             "(mom or table)"
         )
-    crafts = config.target.airframes
-    twice = next((name for place, name in enumerate(crafts) if name in crafts[:place]), None)
+    twice = repeated(config.target.airframes)
     if twice is not None and any(SCHEMES[name].slow for name in asked):
         raise ConfigError(
             f"target.airframes: names {twice} twice, which a search could not tell apart; name each craft once, or set "
