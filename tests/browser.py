@@ -13,6 +13,42 @@ from urllib.parse import unquote
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None)
 DARK = "--blink-settings=preferredColorScheme=0"
 TOUCH = "--blink-settings=availablePointerTypes=2,primaryPointerType=2"
+WIDE, PHONE = {"width": 1280, "height": 900}, {"width": 390, "height": 844}
+WIDER = """
+document.querySelectorAll("details").forEach((each) => { each.open = true; });
+const wide = document.documentElement.clientWidth, named = (each) => each.outerHTML.slice(0, 90);
+const shown = (but) => [...document.querySelectorAll("main *")].filter((each) =>
+  each.getClientRects().length && !each.closest(but));
+const out = shown("pre, .unseen").filter((each) => each.getBoundingClientRect().right > wide + 0.5).map(named);
+const cut = shown(".unseen, select, button").filter((each) =>
+  each.scrollWidth > each.clientWidth + 1 && getComputedStyle(each).display !== "inline").map(named);
+return { wide, needs: document.documentElement.scrollWidth, out, cut };
+"""
+"""What is wider than the window, and what of a text does not fit its box."""
+COLOURS = """
+const part = (text) => { const v = text / 255; return v <= 0.03928 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4; };
+const light = (text) => {
+  const [r, g, b] = text.match(/[\\d.]+/g).map(part);
+  return 0.2126 * r + 0.7152 * g + 0.0722 * b;
+};
+const ground = (each) => {
+  for (; each; each = each.parentElement) {
+    const colour = getComputedStyle(each).backgroundColor;
+    if (!/, 0\\)$/.test(colour)) return colour;
+  }
+  return "rgb(255, 255, 255)";
+};
+const written = [...document.querySelectorAll("main *")].filter((each) =>
+  each.getClientRects().length && !each.closest(".label, .hint, select")
+  && [...each.childNodes].some((node) => node.nodeType === 3 && node.textContent.trim()));
+const contrast = (each) => {
+  const [a, b] = [light(getComputedStyle(each).color), light(ground(each))].sort((x, y) => x - y);
+  return (b + 0.05) / (a + 0.05);
+};
+const least = written.map((each) => [contrast(each), each.outerHTML.slice(0, 80)]).sort((x, y) => x[0] - y[0])[0];
+return { page: light(getComputedStyle(document.body).backgroundColor), least };
+"""
+"""How light the page is, and the text that stands out least from its ground, by WCAG's ratio."""
 
 
 def _opened(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:

@@ -222,8 +222,8 @@ def test_refinement_finds_the_pose_from_nearby():
     )
     before = float(cost(start, statistics, prior())[0])
     after = improved(known.table, known.subspace, statistics, prior(), start, steps=8)
-    after = polished(known.body(craft), known.table, known.subspace, statistics, prior(), after)
-    _, best = refined(known, statistics, prior(), *truth(1))
+    after = polished(known.body(craft), known.table, known.subspace, statistics, prior(), after, steps=6)
+    _, best = refined(known, statistics, prior(), *truth(1))  # the same program for another number of steps
     assert before > best + 10.0
     assert float(cost(after, statistics, prior())[0]) < best + 3.0
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from browser import BROWSER, DARK, found_in, picture
+from browser import BROWSER, COLOURS, DARK, PHONE, WIDE, WIDER, found_in, picture
 from made_up_track import made_up_track
 from test_report import write
 
@@ -18,7 +18,6 @@ from august_jax.scene import WorldCloud
 
 pytestmark = pytest.mark.skipif(BROWSER is None, reason="no browser here")
 
-WIDE, PHONE = {"width": 1280, "height": 900}, {"width": 390, "height": 844}
 HYPOTHESIS = {"craft": "hexa_of_long_name", "probability": 0.9, "position": [4.0, 6.0, 3.0], "normal": [0.0, 0.0, 1.0],
               "heading_deg": 30.0, "permittivity": 3.0, "conductivity": 4e-3}  # fmt: skip
 
@@ -38,18 +37,6 @@ def page(tmp_path_factory):
     command = "august reconstruct --mesh '/a/folder/whose/name/is/longer/than/a/telephone/is/wide/drone.stl' --unit mm"
     write(path, track, scores, hypotheses={3: [cloud, cloud]}, repeat=[(command, "again")], configuration="a: 1\n" * 9)
     return path
-
-
-WIDER = """
-document.querySelectorAll("details").forEach((each) => { each.open = true; });
-const wide = document.documentElement.clientWidth, named = (each) => each.outerHTML.slice(0, 90);
-const shown = (but) => [...document.querySelectorAll("main *")].filter((each) =>
-  each.getClientRects().length && !each.closest(but));
-const out = shown("pre, .unseen").filter((each) => each.getBoundingClientRect().right > wide + 0.5).map(named);
-const cut = shown(".unseen, select, button").filter((each) =>
-  each.scrollWidth > each.clientWidth + 1 && getComputedStyle(each).display !== "inline").map(named);
-return { wide, needs: document.documentElement.scrollWidth, out, cut };
-"""
 
 
 @pytest.mark.parametrize("size", [WIDE, PHONE, {"width": 320, "height": 568}], ids=["desk", "telephone", "small"])
@@ -168,31 +155,6 @@ const wheel = () => { const event = new WheelEvent("wheel", { deltaY: 100, bubbl
 const before = wheel(); canvas.focus(); return [before, wheel()];""",
     )
     assert found == [False, True]
-
-
-COLOURS = """
-const part = (text) => { const v = text / 255; return v <= 0.03928 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4; };
-const light = (text) => {
-  const [r, g, b] = text.match(/[\\d.]+/g).map(part);
-  return 0.2126 * r + 0.7152 * g + 0.0722 * b;
-};
-const ground = (each) => {
-  for (; each; each = each.parentElement) {
-    const colour = getComputedStyle(each).backgroundColor;
-    if (!/, 0\\)$/.test(colour)) return colour;
-  }
-  return "rgb(255, 255, 255)";
-};
-const written = [...document.querySelectorAll("main *")].filter((each) =>
-  each.getClientRects().length && !each.closest(".label, .hint, select")
-  && [...each.childNodes].some((node) => node.nodeType === 3 && node.textContent.trim()));
-const contrast = (each) => {
-  const [a, b] = [light(getComputedStyle(each).color), light(ground(each))].sort((x, y) => x - y);
-  return (b + 0.05) / (a + 0.05);
-};
-const least = written.map((each) => [contrast(each), each.outerHTML.slice(0, 80)]).sort((x, y) => x[0] - y[0])[0];
-return { page: light(getComputedStyle(document.body).backgroundColor), least };
-"""
 
 
 @pytest.mark.parametrize("flags, dark", [((), False), ((DARK,), True)], ids=["light", "dark"])

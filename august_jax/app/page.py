@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+import re
 from collections.abc import Mapping
 from importlib.resources import files
 from pathlib import Path
@@ -28,13 +29,14 @@ RAMP = (
 
 
 def write_page(path: str | Path, template: str, payload: Mapping[str, Any]) -> None:
-    """Write ``template``, a file beside this one, with ``payload`` in the place of its ``@PAYLOAD@``, and what pages
-    share, ``view.js``, in that of ``@VIEW@``."""
+    """Write ``template``, a file beside this one, with what pages share put in: a style sheet or a script beside it,
+    named as ``@page.css@``, and ``payload`` in the place of ``@PAYLOAD@``."""
+    beside = files("august_jax.app")
+    page = beside.joinpath(template).read_text(encoding="utf-8")
+    page = re.sub(r"@([a-z]+\.(?:css|js))@", lambda name: beside.joinpath(name[1]).read_text(encoding="utf-8"), page)
     # "<" is written as an escape, so that no text of the payload can close the script element
     text = json.dumps(payload, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
-    page, view = (files("august_jax.app").joinpath(name).read_text(encoding="utf-8") for name in (template, "view.js"))
-    page = page.replace("@VIEW@", view.replace("@STOPS@", json.dumps(RAMP)))
-    write_text(path, page.replace("@PAYLOAD@", text))
+    write_text(path, page.replace("@STOPS@", json.dumps(RAMP)).replace("@PAYLOAD@", text))
 
 
 def steps_of(values: np.ndarray) -> str:

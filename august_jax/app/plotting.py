@@ -6,7 +6,8 @@ All go to files, none to a screen. Figures are made without pyplot, so that no g
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
+from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -35,7 +36,15 @@ STYLES: dict[str, dict[str, Any]] = {
     "mean_shape": {"color": "#8a6d1d", "ls": "--"},
     "resampling": {"color": "#7a8894", "ls": ":"},
 }
-"""Line styles of the schemes (:data:`august_jax.schemes.SCHEMES`); others get the next colour of the cycle."""
+"""Line styles of the schemes (:data:`august_jax.schemes.SCHEMES`)."""
+_NETWORKS = (MODEL, "#d62839", "#2f3e46", "#35a7d6", "#7ca318", "#f277a0")
+
+
+def styles_of(schemes: Collection[str]) -> dict[str, dict[str, Any]]:
+    """A line style for each scheme: that of :data:`STYLES`, or of networks under other names their own colour."""
+    taken = {STYLES[name]["color"] for name in schemes if name in STYLES}
+    others = cycle(colour for colour in _NETWORKS if colour not in taken)
+    return {name: STYLES.get(name) or {"color": next(others), "marker": "s", "ms": 4} for name in schemes}
 
 
 def training_curves(metrics_jsonl: str | Path, png: str | Path) -> None:
@@ -298,6 +307,7 @@ def evaluation_curves(rows: Sequence[Mapping[str, Any]], png: str | Path, *, tit
     )
     figure = new_figure(11.0, 7.4)
     schemes = list(dict.fromkeys(row["scheme"] for row in rows))
+    styles = styles_of(schemes)
     most = max(row["count"] for row in rows)
     labels = {scheme: SCHEMES[scheme].label if scheme in SCHEMES else scheme for scheme in schemes}
     alone = len({row["snr_db"] for row in rows}) == 1
@@ -311,7 +321,7 @@ def evaluation_curves(rows: Sequence[Mapping[str, Any]], png: str | Path, *, tit
         axes = figure.add_subplot(2, 2, index + 1)
         for scheme in schemes:
             pairs = {row["snr_db"]: row[metric] for row in rows if row["scheme"] == scheme and row[metric] is not None}
-            style = {"lw": 1.6, **STYLES.get(scheme, {"marker": "s", "ms": 4})}
+            style = {"lw": 1.6, **styles[scheme]}
             if pairs:
                 _over_snr(axes, sorted(pairs.items()), alone, label=labels[scheme], **style)
         column = {"mpe_m": "bound_m", "mde": "bound_mde"}.get(metric)

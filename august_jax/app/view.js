@@ -1,8 +1,4 @@
-"use strict";
-// What the offline pages share: numbers out of the payload, colours, and hands that turn a view.
-const data = JSON.parse(document.getElementById("payload").textContent);
-const $ = (id) => document.getElementById(id);
-const dark = window.matchMedia("(prefers-color-scheme: dark)");
+// What pages with turnable views have: packed numbers, colours from low to high, and hands that turn a view.
 
 // ---- numbers: bytes, and 16-bit integers in units of a step ---------------------------------------------------
 const bytes = (text) => Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));

@@ -20,7 +20,7 @@ from august_jax.data.fields import Batch, Observed, Sample
 from august_jax.data.generate import split_of
 from august_jax.data.observe import as_observed, batch_of
 from august_jax.data.reference import reference_channels
-from august_jax.data.shards import ROW_SUMS, DataError, read_manifest, read_meta, row_sums
+from august_jax.data.shards import ROW_SUMS, DataError, read_manifest, read_meta, row_sums, simulate_again
 from august_jax.data.simulator import Target, tables_of
 from august_jax.files import sha256_of
 
@@ -58,8 +58,8 @@ class Dataset:
         flights = [self._taken(number, "flight", np.arange(count)) for number, count in enumerate(rows)]
         if manifest["rows"] < manifest["wanted"]:
             raise DataError(
-                f"folder: {folder} holds {manifest['rows']} of {manifest['wanted']} samples; run the `august "
-                "simulate` that made them once more: it makes what is missing"
+                f"folder: {folder} holds {manifest['rows']} of {manifest['wanted']} samples\n"
+                f"make what is missing: {simulate_again(folder)}"
             )
         self._starts = np.cumsum([0, *rows])
         self.count = int(self._starts[-1])
@@ -75,8 +75,8 @@ class Dataset:
         if len(wrong := rows_not_finite(taken)):
             raise DataError(
                 f"{shard.path}: {column}.npy holds NaN or infinity in {len(wrong)} of {len(rows)} rows, the first is "
-                f"row {self._starts[number] + rows[wrong[0]]} of the data, as they were written; remove that shard and "
-                "run the `august simulate` that made it once more"
+                f"row {self._starts[number] + rows[wrong[0]]} of the data, as they were written\n"
+                f"remove that shard, and make it again: {simulate_again(shard.path.parent)}"
             )
         return taken
 
@@ -172,7 +172,8 @@ def _mapped(shard: Path, file: str, form: tuple[Any, Any], rows: int) -> np.ndar
 
 
 def _damaged(shard: Path, file: str) -> DataError:
-    return DataError(f"{shard}: {file} is damaged; simulate once more with verify=True, which makes it again")
+    again = simulate_again(shard.parent, "--verify")
+    return DataError(f"{shard}: {file} is damaged\nmake it again: {again}")
 
 
 def _sum_of(path: Path) -> str:

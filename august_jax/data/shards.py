@@ -16,6 +16,7 @@ from __future__ import annotations
 import hashlib
 import math
 import re
+import shlex
 import shutil
 import time
 import zlib
@@ -230,6 +231,11 @@ def shard_name(number: int) -> str:
     return f"shard-{number:05d}"
 
 
+def simulate_again(folder: str | Path, *words: str) -> str:
+    """The command line that goes on with the data of a folder, by the configuration that it holds."""
+    return shlex.join(["august", "simulate", "--out", str(folder), *words])
+
+
 def read_manifest(folder: str | Path) -> dict[str, Any]:
     """The manifest of a data folder, its shards and rows counted anew; :class:`DataError` where there is none."""
     path = Path(folder) / "manifest.json"
@@ -240,7 +246,7 @@ def read_manifest(folder: str | Path) -> dict[str, Any]:
     except DamagedFile:
         manifest = {}
     if not {"format", "digest", "wanted"} <= set(manifest):
-        raise DataError(f"{path}: is damaged; remove it and run `august simulate` again, which keeps the shards")
+        raise DataError(f"{path}: is damaged\nremove it, and write it again: {simulate_again(folder)}")
     if manifest["format"] != _FORMAT:
         raise DataError(
             f"folder: {folder} holds data of another version (format {manifest['format']}, wanted {_FORMAT}); "

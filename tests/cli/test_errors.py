@@ -208,10 +208,6 @@ OPTIONS = ("--position", "--snr", "--half-wheelbase", "--unit", "--pitch", "--ro
             "half_wheelbase_m: 2; set half_wheelbase_m=0.25, or check unit",
             "--half-wheelbase: 2; set --half-wheelbase 0.25, or check unit",
         ),
-        (
-            "simulate once more with verify=True, which makes it again",
-            "simulate once more with --verify, which makes it again",
-        ),
         # not the option's business: fields, paths, arguments that this command has no option for
         ("data.seed: 3; set data.seed=4", "data.seed: 3; set data.seed=4"),
         ("/tmp/unit=3/file: damaged", "/tmp/unit=3/file: damaged"),

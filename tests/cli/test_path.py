@@ -63,6 +63,44 @@ def test_simulate_has_nothing_left_to_do(capsys, home):
     assert (result["rows"], result["written"]) == (40, 0)
 
 
+DAMAGES = {
+    "a bit": lambda data: flip(data / "shard-00001" / "points.npy"),
+    "an end": lambda data: cut(data / "shard-00001" / "points.npy"),
+    "a column": lambda data: (data / "shard-00001" / "points.npy").unlink(),
+    "a shard": lambda data: shutil.rmtree(data / "shard-00001"),
+    "the manifest": lambda data: cut(data / "manifest.json"),
+}
+
+
+def flip(file):
+    content = bytearray(file.read_bytes())
+    content[len(content) // 2] ^= 8
+    file.write_bytes(content)
+
+
+def cut(file):
+    file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_a_damaged_data_set_is_whole_again_after_the_command_that_the_message_gives(capsys, home, tmp_path, damage):
+    data, out = tmp_path / "my data", tmp_path / "out"
+    shutil.copytree(home / "data", data)
+    DAMAGES[damage](data)
+    words = ["export", data, "--format", "npz", "--index", 29, "--out", out]
+    message = refused(capsys, *words)
+    advice = message.splitlines()[-1]
+    if "remove it" in advice:
+        (data / "manifest.json").unlink()
+    program, *again = shlex.split(advice.partition("again: ")[2] or advice.partition("missing: ")[2])
+    assert program == "august"
+    call(capsys, *again)
+    call(capsys, *words)
+    first, second = (Dataset(folder).read(np.arange(40)) for folder in (home / "data", data))
+    for name, column in first.columns().items():
+        np.testing.assert_array_equal(second.columns()[name], column)
+
+
 @pytest.mark.parametrize("dry", [[], ["--dry-run"]])
 def test_simulate_keeps_off_other_data(capsys, home, dry):
     words = ["simulate", "--preset", "smoke", "--out", home / "data", *SMALL, *dry]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import time
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from august_jax.app.cli.common import chosen_weights, counted, folder
 from august_jax.app.cli.dry import about, dry_run_argument, long, size, told_plan
 from august_jax.app.cli.messages import UsageError, command_line, expected_table, note, say, scheme_table, search_table
 from august_jax.app.cli.parser import Command, name, whole
+from august_jax.app.cli.results import array_told, needed
 from august_jax.config import Config
 
 _MOST_RUNS = 64
@@ -42,9 +44,11 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 def _run(args: argparse.Namespace) -> dict[str, Any]:
     from august_jax import evaluation, pipeline
     from august_jax.app import plotting
+    from august_jax.app.accuracy import write_accuracy
     from august_jax.files import replacing_together
     from august_jax.schemes import lines_of
 
+    started = time.monotonic()
     out = folder(args, "august_evaluate")
     if args.run and args.rest:
         raise UsageError(f"{args.rest[0]!r}: the run is already given as --run {args.run}; name one")
@@ -61,13 +65,31 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
     made = {"command_line": command_line(*args.words), "configuration": configuration.to_dict(config)}
     found = {"rows": rows, "thresholds": evaluation.thresholds(rows)}
     result = {"weights": weights, "seed": args.seed, **made, **found}
-    with replacing_together(out, ("evaluation.json", "evaluation.png")) as aside:
+    title = (
+        f"{first.name if len(several) == 1 else f'{len(several)} networks'}, seed {args.seed}, "
+        f"{counted(config.evaluate.count, 'sample')} at each SNR"
+    )
+    following = _following(args, runs[0])
+    with replacing_together(out, ("report.html", "evaluation.json", "evaluation.png")) as aside:
         aside["evaluation.json"].write_text(json.dumps(result, indent=1, allow_nan=False), encoding="utf-8")
-        plotting.evaluation_curves(
+        plotting.evaluation_curves(rows, aside["evaluation.png"], title=title)
+        write_accuracy(
+            aside["report.html"],
             rows,
-            aside["evaluation.png"],
-            title=f"{first.name if len(several) == 1 else f'{len(several)} networks'}, seed {args.seed}, "
-            f"{counted(config.evaluate.count, 'sample')} at each SNR",
+            found["thresholds"],
+            title=title,
+            lead=f"Each sample is of its own flight, style {config.flight.style}, heard by {array_told(config)} within "
+            f"{config.region.threshold_m:g} m of its prediction along each axis. All SNRs and schemes share samples.",
+            note=evaluation.NOTE,
+            setup=[
+                ("craft", ", ".join(config.target.airframes)),
+                ("weights", ", ".join(weights.values()) if isinstance(weights, dict) else weights),
+                ("seed", str(args.seed)),
+                ("computed in", f"{time.monotonic() - started:.0f} s"),
+            ],
+            following=following,
+            repeat=[(result["command_line"], needed())],
+            configuration=configuration.to_yaml(config),
         )
     say(args, scheme_table(rows, snr=True))
     searched = search_table(rows)
@@ -76,8 +98,20 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
     expected = expected_table(rows, found["thresholds"])
     if expected:
         say(args, f"\n{expected}")
-    say(args, f"\n{evaluation.NOTE}\nwritten: {out / 'evaluation.json'}, {out / 'evaluation.png'}")
+    say(args, f"\n{evaluation.NOTE}\nwritten to {out}/: report.html, evaluation.png, evaluation.json")
+    say(args, f"look:  {(out / 'report.html').resolve().as_uri()}")
+    for line, why in following[:1]:
+        say(args, f"next:  {line}   # {why}")
     return {"out": str(out), **result}
+
+
+def _following(args: argparse.Namespace, run: str | None) -> list[tuple[str, str]]:
+    again = ["--run", run] if run else []
+    again += [text for text in args.overrides if not text.startswith("evaluate.")]
+    return [
+        (command_line("demo", "--seed", str(args.seed), *again), "a flight, its clouds and a search, turnable"),
+        (command_line("track", "--scheme", "august", "--seed", str(args.seed), *again), "a flight, followed"),
+    ]
 
 
 def _plan(

@@ -50,7 +50,6 @@ FLAGS = {
     "snr_db": "--snr",
     "unit": "--unit",
     "up": "--up",
-    "verify": "--verify",
     "weights": "--init",
     "yaw": "--yaw",
     "yaw_deg": "--yaw",
@@ -131,8 +130,6 @@ def in_flags(text: str, options: Collection[str]) -> str:
 
     def given(found: re.Match[str]) -> str:
         flag = FLAGS[found[1]]
-        if flag == "--verify":  # of august simulate, wherever it is advised
-            return flag
         return f"{flag} {found[2].strip('()').replace(', ', ',')}" if flag in options else found[0]
 
     lead = _LEADING.match(text)

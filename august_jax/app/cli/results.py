@@ -26,7 +26,7 @@ def array_told(config: Config) -> str:
     return f"{config.array.nx} x {config.array.nz} at {tones} GHz"
 
 
-def _needed(craft: Mapping[str, Any] | None) -> str:
+def needed(craft: Mapping[str, Any] | None = None) -> str:
     """What makes a command give the same again; ``craft`` is :func:`common.mesh_record` of a mesh."""
     file = f"; the mesh's SHA-256 begins {craft['mesh_sha256'][:12]}" if craft else ""
     return f"august_jax {__version__} with jax {version('jax')} on Python {platform.python_version()}{file}"
@@ -36,7 +36,7 @@ def kept(args: argparse.Namespace, config: Config, craft: Mapping[str, Any] | No
     """What a record that stands alone says of how it was made, as texts; those of several things are JSON."""
     return {
         "command_line": command_line(*args.words),
-        "made_with": _needed(craft),
+        "made_with": needed(craft),
         "configuration": json.dumps(configuration.to_dict(config)),
         **({"craft": json.dumps(craft)} if craft else {}),
     }
@@ -108,7 +108,7 @@ def leave(
             note=evaluation.NOTE,
             setup=[*setup, ("seed", str(args.seed)), ("computed in", f"{seconds:.0f} s")],
             following=following,
-            repeat=[(command_line(*args.words), _needed(made.get("craft")))],
+            repeat=[(command_line(*args.words), needed(made.get("craft")))],
             configuration=configuration.to_yaml(config),
             scheme=scheme,
             hypotheses=hypotheses,

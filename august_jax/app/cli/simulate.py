@@ -7,6 +7,7 @@ import os
 from pathlib import Path
 from typing import Any
 
+from august_jax import config as configuration
 from august_jax.app.cli.common import chosen_config, devices_argument, folder
 from august_jax.app.cli.dry import about, dry_run_argument, long, size, told_plan
 from august_jax.app.cli.messages import command_line, note, say
@@ -33,8 +34,8 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(args: argparse.Namespace) -> dict[str, Any]:
-    config = chosen_config(args)
-    out, shard = folder(args, f"august_data/{config.preset}", configured=True), _part(args)
+    out = folder(args, f"august_data/{args.preset or 'laptop'}", configured=True)
+    config, shard = _config(args, out), _part(args)
     if args.dry_run:
         return _plan(args, config, out, shard)
     from august_jax.data import content_sum, simulate
@@ -71,6 +72,15 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
         "shard": list(shard),
         **{name: manifest[name] for name in ("rows", "wanted", "written", "seconds", "samples_per_s")},
     }
+
+
+def _config(args: argparse.Namespace, out: Path) -> Config:
+    """What the words say; where these say nothing of it, that of the data in ``out``."""
+    kept = out / "config.yaml"
+    if args.preset is None and not args.overrides and kept.is_file():
+        note(f"goes on with {kept}")
+        return configuration.read(kept)
+    return chosen_config(args)
 
 
 def _part(args: argparse.Namespace) -> tuple[int, int]:
