@@ -79,7 +79,7 @@ def test_means_over_devices_are_means_over_rows():
     assert float(brought_home(found)["mean"]) == values.mean()
 
 
-@pytest.mark.parametrize("frame", ["craft", "region"])
+@pytest.mark.parametrize("frame", [pytest.param("craft", marks=pytest.mark.slow), "region"])
 def test_steps_on_eight_devices_are_steps_on_one(frame):
     config = replace(RUN, model=replace(RUN.model, frame=frame))
     mesh, losses, terms = data_mesh(), [], []
@@ -109,7 +109,7 @@ def logged(folder):
     return {line["step"]: line["loss"] for line in lines}
 
 
-@pytest.mark.parametrize("first, then", [(8, 1), (1, 8), (8, 2)])
+@pytest.mark.parametrize("first, then", [(8, 1), (1, 8), pytest.param(8, 2, marks=pytest.mark.slow)])
 def test_a_checkpoint_goes_on_on_any_number_of_devices(alone, tmp_path, first, then):
     def interrupted(step):
         if step == 8:
@@ -135,7 +135,7 @@ def test_a_run_takes_all_devices_and_refuses_what_they_cannot_share(tmp_path):
     assert not (tmp_path / "run").exists()
 
 
-@pytest.mark.parametrize("solver", ["mom", "born"])
+@pytest.mark.parametrize("solver", ["mom", pytest.param("born", marks=pytest.mark.slow)])
 def test_rows_made_on_eight_devices_are_those_made_on_one(solver):
     config = override(preset("smoke"), [f"data.solver={solver}", "target.points=20"])
     targets = data.prepare_targets(config)

@@ -51,8 +51,8 @@ def schemes():
     SCHEMES.update(before)
 
 
-LONG = {"docs/files.md", "docs/inference.md", "docs/model.md", "docs/simulator.md"}
-"""Pages whose examples take half a minute or more."""
+LONG = {"docs/files.md", "docs/inference.md", "docs/model.md", "docs/scattering.md", "docs/simulator.md"}
+"""Pages whose examples take long, most of it to compile."""
 
 
 @pytest.mark.parametrize("page", [pytest.param(page, marks=pytest.mark.slow) if page in LONG else page for page in RUN])

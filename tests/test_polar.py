@@ -54,7 +54,9 @@ def drawn(rng, count, distance, miss=0.4):
     return places, (places + rng.uniform(-miss, miss, (count, 3))).astype(np.float32)
 
 
-@pytest.mark.parametrize("name, tones", [("planar", ONE), ("planar", EIGHT), ("loose", EIGHT)])
+@pytest.mark.parametrize(
+    "name, tones", [("planar", ONE), pytest.param("planar", EIGHT, marks=pytest.mark.slow), ("loose", EIGHT)]
+)
 def test_a_point_is_found_where_it_is(name, tones):
     """From H and, of a planar array, from its coefficients; at any level and phase."""
     array = {"planar": PLANAR, "loose": LOOSE}[name]
@@ -96,7 +98,7 @@ def polar_of(places):
     return np.stack([direction[..., 0], direction[..., 2], far], axis=-1)
 
 
-@pytest.mark.parametrize("tones, snr_db", [(ONE, 10.0), (EIGHT, -5.0)])
+@pytest.mark.parametrize("tones, snr_db", [pytest.param(ONE, 10.0, marks=pytest.mark.slow), (EIGHT, -5.0)])
 def test_under_noise_it_errs_as_the_cramer_rao_bound_says(tones, snr_db):
     """300 echoes tell a standard deviation to 4 %; over seeds and SNRs the ratios were 0.91 to 1.09."""
     place = np.array([1.1, 2.2, 0.7])

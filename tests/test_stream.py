@@ -102,21 +102,26 @@ def test_coefficients_are_those_of_the_channel(targets, batches):
         assert off < 1e-4 * np.abs(long.coefficients.values).max()
 
 
-def test_streamed_samples_are_distributed_as_stored_ones(targets):
+def test_streamed_samples_are_distributed_as_stored_ones(targets, batches):
     """Two-sample Kolmogorov-Smirnov tests; of some twenty the least p-value is rarely below 1e-3."""
-    config = override(CONFIG, ["train.batch=1024", "target.points=64"])
-    batch = data.StreamedBatches(config, targets)(0)
-    numbers = np.arange(1024)
-    rows = numbers * 8 + numbers % 8
-    samples = data.generate(config, rows, [replace(target, table=None) for target in targets])
-    stored = observed_anew(jax.random.key(5), samples, config)
+    known = [replace(target, table=None) for target in targets]
+
+    def of_storage(part):
+        numbers = np.arange(64) + 64 * part
+        samples = data.generate(CONFIG, numbers * 8 + numbers % 8, known)
+        return observed_anew(jax.random.key(part), samples, CONFIG)
+
+    def joined(parts):
+        return jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
+
+    batch, stored = (joined([make(part) for part in range(16)]) for make in (batches, of_storage))
 
     def told(batch):
         cloud, predicted = np.asarray(batch.cloud), np.asarray(batch.predicted)
         points = cloud[..., :3] - cloud[..., :3].mean(axis=1, keepdims=True)
         spread, axes = np.linalg.eigh(np.einsum("nma,nmb->nab", points, points))
         normal = axes[:, :, 0] * np.sign(axes[:, 2, :1])
-        world = np.asarray(position_estimate(batch.cloud, batch.predicted, config.region))
+        world = np.asarray(position_estimate(batch.cloud, batch.predicted, CONFIG.region))
         level = np.linalg.norm(batch.coefficients.values.reshape(1024, -1), axis=1)
         return {
             **{f"predicted {axis}": predicted[:, i] for i, axis in enumerate("xyz")},

@@ -290,6 +290,7 @@ def test_a_demo_that_searches_tells_what_it_found(capsys, home, tmp_path, monkey
     assert "known drones" in (tmp_path / "demo" / "report.html").read_text()
 
 
+@pytest.mark.slow
 def test_networks_follow_a_flight_in_the_smallest_region_that_is_large_enough(capsys, home, tmp_path):
     """Of two, told by their configurations: the filter asks for 0.61 m on agile flights."""
     for name, threshold in (("wide", 0.8), ("wider", 1.1)):

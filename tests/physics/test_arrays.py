@@ -46,7 +46,11 @@ def test_a_planar_array_is_a_special_case(body):
     assert off(*fast) < 1e-5
 
 
-@pytest.mark.parametrize("solver", SOLVERS)
+# the ordinary suite solves by Krylov over two ends in the next test, and moves arrays that are factored
+QUICK = [pytest.param(solver, marks=[pytest.mark.slow] * (solver == "krylov")) for solver in SOLVERS]
+
+
+@pytest.mark.parametrize("solver", QUICK)
 def test_the_way_back_is_the_way_there(solver):
     there = in_double(PLANAR, CELLS, solver=solver, receiver=scattered())
     back = in_double(scattered(), CELLS, solver=solver, receiver=PLANAR)
@@ -70,7 +74,7 @@ def test_a_factored_body_serves_any_two_ends(body):
         assert off(fast, in_double(send, moved, receiver=receive)) < 1e-4
 
 
-@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize("solver", QUICK)
 def test_only_relative_places_and_directions_matter(solver):
     array, shift = scattered(), np.array([30.0, -20.0, 7.0])
     turned_array = AntennaArray(array.positions @ TURN.T + shift, array.moments @ TURN.T, 3e9)

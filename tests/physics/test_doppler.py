@@ -140,6 +140,7 @@ def test_a_rotor_stands_where_the_craft_carries_it(hull, rotor):
     assert np.linalg.norm(found[0] - wanted) < 1e-4 * np.linalg.norm(wanted)
 
 
+@pytest.mark.slow
 def test_tables_serve_as_the_bodies_that_they_were_made_of(hull, rotor):
     """To what they say of their errors; and what leads out of a table is refused, pulse by pulse."""
     array, rotation = PlanarArray(3, 2, FREQUENCY), turned((0.4, -0.2, 0.1))

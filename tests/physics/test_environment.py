@@ -327,6 +327,7 @@ def test_a_table_of_the_array_and_its_images_serves_too(planes, corners, body):
     np.testing.assert_array_equal(free, table_channel(table, ARRAY, TURN, place, CHI))
 
 
+@pytest.mark.slow
 def test_tones_have_planes_of_their_own():
     tones = (2.95e9, 3.05e9)
     comb, chi = factor_body(CELLS, tones), np.asarray(contrast(3.0, 0.01, np.asarray(tones)))

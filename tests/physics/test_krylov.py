@@ -177,8 +177,8 @@ def test_the_gradient_sees_the_coupling():
     assert jnp.linalg.norm(coupled - alone) > 0.2 * jnp.linalg.norm(coupled)
 
 
-# of its own accord, one
-@pytest.mark.parametrize("size", [2, pytest.param(None, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("size", [2, None])  # of its own accord, one
 def test_a_batch_does_not_depend_on_how_many_are_in_flight(size):
     shifts = jnp.array([[0.0, 0.0, 0.0], [0.3, -0.1, 0.2], [0.1, 0.2, 0.0]])
     chi = jnp.array([1.0, 2.0, 3.0])
@@ -190,17 +190,21 @@ def test_a_batch_does_not_depend_on_how_many_are_in_flight(size):
         assert jnp.linalg.norm(found[row] - alone) < 1e-5 * jnp.linalg.norm(alone)
 
 
-def test_second_derivatives_raise_and_do_not_mislead():
-    def loss(shift):
-        moved = CELLS._replace(positions=CELLS.positions + shift)
-        return jnp.sum(jnp.abs(1e6 * sensing_channel(ARRAY, moved, 2.0, solver="krylov")) ** 2)
+def power(shift):
+    moved = CELLS._replace(positions=CELLS.positions + shift)
+    return jnp.sum(jnp.abs(1e6 * sensing_channel(ARRAY, moved, 2.0, solver="krylov")) ** 2)
 
-    for second in (jax.hessian(loss), jax.jit(jax.jacfwd(jax.jit(jax.grad(loss))))):
+
+def test_second_derivatives_raise_and_do_not_mislead():
+    for second in (jax.hessian(power), jax.jit(jax.jacfwd(jax.jit(jax.grad(power))))):
         with pytest.raises(NotImplementedError, match="solver='mom'"):
             second(jnp.zeros(3))
-    # what is linear in the first derivative has one of its own
-    scaled = jax.grad(lambda scale: jax.grad(lambda shift: scale * loss(shift))(jnp.zeros(3))[0])(2.0)
-    np.testing.assert_allclose(scaled, jax.grad(loss)(jnp.zeros(3))[0], rtol=1e-4)
+
+
+@pytest.mark.slow
+def test_what_is_linear_in_the_first_derivative_has_one_of_its_own():
+    scaled = jax.grad(lambda scale: jax.grad(lambda shift: scale * power(shift))(jnp.zeros(3))[0])(2.0)
+    np.testing.assert_allclose(scaled, jax.grad(power)(jnp.zeros(3))[0], rtol=1e-4)
 
 
 def test_batches_by_vmap():

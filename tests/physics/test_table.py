@@ -99,7 +99,12 @@ def test_antennas_one_by_one_make_the_planar_array(table):
 
 @pytest.mark.parametrize(
     ("name", "width"),
-    [("place", 1e-3), ("turn", 5e-3), ("permittivity", 0.05), pytest.param("antennas", 1e-3, marks=pytest.mark.slow)],
+    [
+        ("place", 1e-3),
+        pytest.param("turn", 5e-3, marks=pytest.mark.slow),
+        ("permittivity", 0.05),
+        pytest.param("antennas", 1e-3, marks=pytest.mark.slow),
+    ],
 )
 def test_slopes_are_those_of_differences_and_of_the_factored_body(name, width, body, table):
     """A table errs by a part in a thousand; its slopes, over the length of a fringe, by a little more."""

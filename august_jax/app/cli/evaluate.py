@@ -78,8 +78,9 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
             rows,
             found["thresholds"],
             title=title,
-            lead=f"Each sample is of its own flight, style {config.flight.style}, heard by {array_told(config)} within "
-            f"{config.region.threshold_m:g} m of its prediction along each axis. All SNRs and schemes share samples.",
+            lead=f"Each sample is of its own flight, style {config.flight.style}, heard by an array of "
+            f"{array_told(config)} within {config.region.threshold_m:g} m of its prediction along each axis. All SNRs "
+            "and schemes share samples.",
             note=evaluation.NOTE,
             setup=[
                 ("craft", ", ".join(config.target.airframes)),
