@@ -7,6 +7,7 @@ and that its numbers hang together. How good the numbers are is not a matter of 
 import hashlib
 import json
 import math
+import re
 import shlex
 import shutil
 from pathlib import Path
@@ -207,6 +208,13 @@ def test_evaluate_rows(capsys, home, monkeypatch, unchecked):
     assert rows["resampling"]["mpe_m"] < rows["prediction"]["mpe_m"] < 0.5 * math.sqrt(3.0)
     assert json.loads((home / "evaluation" / "evaluation.json").read_text())["rows"] == result["rows"]
     assert (home / "evaluation" / "evaluation.png").is_file()
+    report = (home / "evaluation" / "report.html").read_text(encoding="utf-8")
+    payload = json.loads(re.search(r'id="payload">(.*?)</script>', report, re.S)[1])
+    assert payload["rows"] == result["rows"] and payload["thresholds"] == result["thresholds"]
+    (again, _), (following, _) = payload["repeat"][0], payload["next"][0]
+    assert again == result["command_line"]
+    # what is to be tried next is of the same run, and leaves out what is of evaluations alone
+    assert shlex.split(following) == ["august", "demo", "--seed", "5", "--run", str(home / "run")]
 
 
 @pytest.mark.slow

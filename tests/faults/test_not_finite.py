@@ -171,6 +171,7 @@ def test_who_reads_a_data_set_is_told_the_row(folder):
     dataset = data.Dataset(folder)
     assert dataset.read(np.array([3, 5, 8])).rows == 3
     words = r"shard-00001: true_channel.npy holds NaN or infinity in 1 of 2 rows, the first is row 4 of the data"
-    with pytest.raises(data.DataError, match=words + r".*remove that shard and run") as caught:
+    advice = r", as they were written\nremove that shard, and make it again: august simulate --out"
+    with pytest.raises(data.DataError, match=words + advice) as caught:
         dataset.read(np.array([5, 4, 0]))
     assert len(told(caught.value).splitlines()) <= 6
