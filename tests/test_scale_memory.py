@@ -7,7 +7,7 @@ from test_training import CONFIG, next_batch
 
 from august_jax import memory
 from august_jax.mesh import data_mesh
-from august_jax.training import initial_state
+from august_jax.training import fit, initial_state
 from august_jax.training.fit import bytes_needed, compiled, fitted_step
 
 MANY = replace(CONFIG.train, batch=512)
@@ -72,3 +72,34 @@ def test_files_that_were_read_do_not_count_as_used(monkeypatch, tmp_path):
 def test_devices_of_one_processor_share_its_memory(monkeypatch):
     monkeypatch.setattr(memory, "memory", lambda: memory.Memory(10**9, 8 * 10**8))
     assert memory.for_a_program(data_mesh(1)) == 8 * 10**8
+
+
+def affine(rows):
+    return 4000 + 100 * rows
+
+
+SIZES = {
+    "a little": (affine, 0.5, (10, 12)),
+    "next to all": (affine, 0.98, (50, 61)),
+    "sizes in steps": (lambda rows: 4800 + 40 * -(-rows // 8), 0.97, (24, 32)),
+    "one sample alone": (lambda rows: 1000 * rows, 1.5 / 64, (1, 1)),
+    "less than one": (affine, 0.3, None),
+}
+"""Bytes over rows, the part of them that there is of 64 rows, and what is near the largest batch that fits."""
+
+
+@pytest.mark.parametrize("case", SIZES)
+def test_a_batch_near_the_largest_is_found_with_few_programs(monkeypatch, unchecked, case):
+    """By made-up sizes of programs; each costs a compilation."""
+    size, share, wanted = SIZES[case]
+    met = []
+    monkeypatch.setattr(fit, "_of_rows", lambda _, rows: rows)
+    monkeypatch.setattr(fit, "compiled", lambda loss, train, state, rows, mesh: met.append(rows) or rows)
+    monkeypatch.setattr(fit, "bytes_needed", size)
+    available = int(share * size(64) / fit._SHARE)
+    found = fit.largest_batch(None, replace(MANY, batch=64), None, None, data_mesh(1), size(64), available)
+    assert len(met) <= 5
+    if wanted is None:
+        assert found is None
+    else:
+        assert wanted[0] <= found <= wanted[1] and size(found) <= fit._SHARE * available

@@ -25,7 +25,8 @@ Step = Callable[[TrainState, Any], tuple[TrainState, dict[str, Array]]]
 
 _SHARE = 0.9
 """Of what is free: beside the program, batches are made."""
-_TRIES = 4
+_TRIES, _NEAR = 5, 0.85
+"""Of a search for a batch that fits: how many programs are compiled, and how near to one that does not is enough."""
 
 
 def fitted_step(loss: Loss, train: TrainConfig, state: TrainState, batch: Any, mesh: Mesh) -> Step:
@@ -85,21 +86,25 @@ def largest_batch(
         batch: that does not fit.
         needed, available: its bytes, and those that there are, on each device.
     """
-    limit, rows, met = _SHARE * available, train.batch, [(train.batch, needed)]
-    guess = rows * limit / needed
-    for _ in range(_TRIES):
-        rows = min(int(guess) // mesh.size * mesh.size, rows - mesh.size)
-        if rows < mesh.size:
-            return None
+    limit, size = _SHARE * available, mesh.size
+    few, smaller, more, larger = 0, 0, train.batch, needed  # the one fits, the other does not
+    for left in reversed(range(_TRIES)):
+        if few:
+            guess = few + (more - few) * (limit - smaller) / (larger - smaller)
+        else:  # half of it at most: sizes go in steps, so that two near batches tell nothing of a third
+            guess = min(more / 2, more * limit / larger) if left else size
+        rows = max(min(int(guess) // size * size, more - size), few + size)
+        if rows >= more:
+            break
         asked = bytes_needed(compiled(loss, train, state, _of_rows(batch, rows), mesh))
         assert asked is not None
         if asked <= limit:
-            return rows
-        met.append((rows, asked))
-        (more, larger), (few, smaller) = met[-2:]
-        slope = max((larger - smaller) / (more - few), 1e-9)
-        guess = few - (smaller - limit) / slope
-    return None
+            few, smaller = rows, asked
+        else:
+            more, larger = rows, asked
+        if few >= _NEAR * (more - size):
+            break
+    return few or None
 
 
 def _of_rows(batch: Any, rows: int) -> Any:

@@ -9,6 +9,7 @@ from august_jax.app import cli, plan
 from august_jax.app.cli.dry import short_of
 from august_jax.config import override, preset
 from august_jax.data import bytes_of
+from august_jax.training import fit
 
 
 def planned(capsys, *words):
@@ -51,8 +52,10 @@ def test_training_is_timed_and_sized_here(capsys, tmp_path, monkeypatch):
 
 def test_a_batch_that_does_not_fit_is_answered_with_one_that_does(monkeypatch, tmp_path):
     small = override(preset("smoke"), ["train.steps=1"])
-    needed = plan.training(small, tmp_path)["memory_bytes"]
-    monkeypatch.setattr(memory, "for_a_program", lambda _: needed // 2)
+    monkeypatch.setattr(memory, "for_a_program", lambda _: 1 << 40)
+    ample = plan.training(small, tmp_path)
+    held = ample["available_bytes"] - (1 << 40)  # by the state, which is there already
+    monkeypatch.setattr(memory, "for_a_program", lambda _: int(0.96 * ample["memory_bytes"] / fit._SHARE) - held)
     found = plan.training(small, tmp_path)
     assert found["seconds"] is None and 1 <= found["batch_fits"] < 16
     assert f"train.batch={found['batch_fits']} fits" in short_of(found)
