@@ -90,3 +90,17 @@ def found_in(page: Path, script: str, *, width: int = 1280, height: int = 900, f
 def picture(page: Path, png: Path, *, width: int, height: int, flags: tuple[str, ...] = ()) -> None:
     """The page as a PNG of ``width`` by ``height``."""
     _opened(page.parent, f"--screenshot={png}", f"--window-size={width},{height}", *flags, page.as_uri())
+
+
+def assert_fits(page: Path, *, width: int, height: int) -> None:
+    """Nothing of the page is wider than the window, and no text than its box."""
+    found = found_in(page, WIDER, width=width, height=height)
+    assert (found["wide"], found["needs"]) == (width, width)
+    assert found["out"] == [] and found["cut"] == []
+
+
+def assert_legible(page: Path, flags: tuple[str, ...], dark: bool) -> None:
+    """The page is as dark as it is asked to be, and its text stands out."""
+    found = found_in(page, COLOURS, flags=flags)
+    assert (found["page"] < 0.05) == dark
+    assert found["least"][0] >= 4.5, found["least"]  # WCAG's AA for text

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-import json
 import os
 import re
 from pathlib import Path
 
 import numpy as np
 import pytest
-from browser import BROWSER, COLOURS, DARK, PHONE, WIDE, WIDER, found_in, picture
+from browser import BROWSER, DARK, PHONE, WIDE, assert_fits, assert_legible, found_in, picture
+from test_report import payload
 
 from august_jax.app.accuracy import write_accuracy
+from august_jax.app.page import About
 from august_jax.evaluation import thresholds
 from august_jax.schemes import SCHEMES
 
@@ -52,7 +53,7 @@ def written(path, rows, **given):
         "repeat": [("august evaluate '/a/folder/whose/name/is/longer/than/a/telephone/is/wide/run' --seed 1", "again")],
         "configuration": "array:\n  nx: 4\n" * 9,
     }
-    write_accuracy(path, rows, thresholds(rows), **{**words, **given})
+    write_accuracy(path, rows, thresholds(rows), About(**{**words, **given}))
     return path
 
 
@@ -63,10 +64,10 @@ def page(tmp_path_factory):
 
 def test_the_rows_come_back_from_the_page_which_needs_nothing_else(page, tmp_path):
     text = page.read_text(encoding="utf-8")
-    payload = json.loads(re.search(r'id="payload">(.*?)</script>', text, re.S)[1])
-    assert payload["rows"] == made_up_rows() and payload["thresholds"] == thresholds(made_up_rows())
-    assert [each["name"] for each in payload["schemes"] if each["strong"]] == ["august", "other_network"]
-    assert len({each["colour"] for each in payload["schemes"]}) == 4
+    told = payload(text)
+    assert told["rows"] == made_up_rows() and told["thresholds"] == thresholds(made_up_rows())
+    assert [each["name"] for each in told["schemes"] if each["strong"]] == ["august", "other_network"]
+    assert len({each["colour"] for each in told["schemes"]}) == 4
     assert not re.search(r"(src|href)\s*=|https?://|@import|url\(|fetch\(|XMLHttpRequest", text)
     broken = written(tmp_path / "report.html", made_up_rows(), title="<img> </script>").read_text(encoding="utf-8")
     assert broken.count("</script>") == text.count("</script>") == 2
@@ -75,17 +76,13 @@ def test_the_rows_come_back_from_the_page_which_needs_nothing_else(page, tmp_pat
 @IN_A_BROWSER
 @pytest.mark.parametrize("size", [WIDE, PHONE, {"width": 320, "height": 568}], ids=["desk", "telephone", "small"])
 def test_nothing_is_wider_than_the_window(page, size):
-    found = found_in(page, WIDER, **size)
-    assert (found["wide"], found["needs"]) == (size["width"], size["width"])
-    assert found["out"] == [] and found["cut"] == []
+    assert_fits(page, **size)
 
 
 @IN_A_BROWSER
 @pytest.mark.parametrize("flags, dark", [((), False), ((DARK,), True)], ids=["light", "dark"])
 def test_text_can_be_read_in_light_and_in_the_dark(page, flags, dark):
-    found = found_in(page, COLOURS, flags=flags)
-    assert (found["page"] < 0.05) == dark
-    assert found["least"][0] >= 4.5, found["least"]
+    assert_legible(page, flags, dark)
 
 
 TOLD = """

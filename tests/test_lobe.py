@@ -1,11 +1,11 @@
 """The lobe: one offline file whose payload holds the cross-sections to the hundredth of a decibel."""
 
 import base64
-import json
 import re
 
 import numpy as np
 import pytest
+from test_report import payload
 
 from august_jax.app import lobe
 
@@ -22,8 +22,7 @@ def written(path, title="a craft", azimuth=AZIMUTH, elevation=ELEVATION, **given
     values = given or entries(azimuth, elevation)
     lobe.write_lobe(path, azimuth, elevation, HERTZ, values, craft, title=title, lead="x", repeat="august rcs x <y>")
     page = path.read_text(encoding="utf-8")
-    payload = json.loads(re.search(r'<script type="application/json" id="payload">(.*?)</script>', page, re.S)[1])
-    return page, payload, craft
+    return page, payload(page), craft
 
 
 def integers(text):
@@ -31,25 +30,25 @@ def integers(text):
 
 
 def test_cross_sections_and_craft_come_back_from_the_page(tmp_path):
-    page, payload, craft = written(tmp_path / "rcs.html")
+    page, told, craft = written(tmp_path / "rcs.html")
     for name, values in entries().items():
-        for tone, text in enumerate(payload["entries"][name]):
+        for tone, text in enumerate(told["entries"][name]):
             found = integers(text).reshape(len(ELEVATION), len(AZIMUTH)) * lobe.STEP_DB
             np.testing.assert_allclose(found, values[..., tone], atol=0.51 * lobe.STEP_DB)
-    assert payload["frequency_hz"] == list(HERTZ) and payload["repeat"] == "august rcs x <y>"
+    assert told["frequency_hz"] == list(HERTZ) and told["repeat"] == "august rcs x <y>"
     reach = np.linalg.norm(craft, axis=1).max()
-    np.testing.assert_allclose(integers(payload["craft"]).reshape(-1, 3) / 32767, craft / reach, atol=1e-4)
+    np.testing.assert_allclose(integers(told["craft"]).reshape(-1, 3) / 32767, craft / reach, atol=1e-4)
     assert not re.search(r"(src|href)\s*=|https?://|@import|url\(|fetch\(|XMLHttpRequest", page)
 
 
 def test_nothing_is_nothing_and_text_cannot_break_out(tmp_path):
     silent = {"vv": np.full((len(ELEVATION), len(AZIMUTH), 2), -np.inf)}
-    page, payload, _ = written(tmp_path / "rcs.html", title="<img> </script> of mine", **silent)
-    assert payload["title"] == "<img> </script> of mine" and page.count("</script>") == 2
-    assert np.all(integers(payload["entries"]["vv"][0]) * lobe.STEP_DB == -300.0)
+    page, told, _ = written(tmp_path / "rcs.html", title="<img> </script> of mine", **silent)
+    assert told["title"] == "<img> </script> of mine" and page.count("</script>") == 2
+    assert np.all(integers(told["entries"]["vv"][0]) * lobe.STEP_DB == -300.0)
 
 
 @pytest.mark.parametrize("azimuth, elevation", [(AZIMUTH, np.zeros(1)), (np.zeros(1), ELEVATION)])
 def test_a_cut_is_a_page_too(tmp_path, azimuth, elevation):
-    _, payload, _ = written(tmp_path / "rcs.html", azimuth=azimuth, elevation=elevation)
-    assert len(integers(payload["entries"]["hh"][1])) == len(azimuth) * len(elevation)
+    _, told, _ = written(tmp_path / "rcs.html", azimuth=azimuth, elevation=elevation)
+    assert len(integers(told["entries"]["hh"][1])) == len(azimuth) * len(elevation)

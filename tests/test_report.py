@@ -9,6 +9,7 @@ import numpy as np
 from made_up_track import made_up_track
 
 from august_jax.app import report
+from august_jax.app.page import About
 from august_jax.scene import WorldCloud
 
 SCORES = {"slots": [{"slot": 0, "note": "</script><b>"}], "schemes": [{"scheme": "august", "mpe_m": 0.1, "mde": None}]}
@@ -19,13 +20,15 @@ def write(path, track, scores=SCORES, title="made up", repeat=(), configuration=
         path,
         track,
         scores,
-        title=title,
-        lead="lead",
-        note="note",
-        setup=[("seed", "1")],
-        following=[("august demo", "again")],
-        repeat=list(repeat),
-        configuration=configuration,
+        About(
+            title=title,
+            lead="lead",
+            note="note",
+            setup=[("seed", "1")],
+            following=[("august demo", "again")],
+            repeat=list(repeat),
+            configuration=configuration,
+        ),
         permittivity=(1.5, 5.0),
         conductivity=(1e-3, 1e-2),
         **rest,

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from browser import BROWSER, COLOURS, DARK, PHONE, WIDE, WIDER, found_in, picture
+from browser import BROWSER, DARK, PHONE, WIDE, assert_fits, assert_legible, found_in, picture
 from made_up_track import made_up_track
 from test_report import write
 
@@ -41,9 +41,7 @@ def page(tmp_path_factory):
 
 @pytest.mark.parametrize("size", [WIDE, PHONE, {"width": 320, "height": 568}], ids=["desk", "telephone", "small"])
 def test_nothing_is_wider_than_the_window(page, size):
-    found = found_in(page, WIDER, **size)
-    assert (found["wide"], found["needs"]) == (size["width"], size["width"])
-    assert found["out"] == [] and found["cut"] == []
+    assert_fits(page, **size)
 
 
 SEEN = """
@@ -159,9 +157,7 @@ const before = wheel(); canvas.focus(); return [before, wheel()];""",
 
 @pytest.mark.parametrize("flags, dark", [((), False), ((DARK,), True)], ids=["light", "dark"])
 def test_text_can_be_read_in_light_and_in_the_dark(page, flags, dark):
-    found = found_in(page, COLOURS, flags=flags)
-    assert (found["page"] < 0.05) == dark
-    assert found["least"][0] >= 4.5, found["least"]  # WCAG's AA for text
+    assert_legible(page, flags, dark)
 
 
 def test_the_overlay_says_what_it_compares(page):

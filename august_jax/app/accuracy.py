@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from august_jax.app.page import write_page
+from august_jax.app.page import About, write_page
 from august_jax.app.plotting import styles_of
 from august_jax.schemes import SCHEMES
 from august_jax.schemes.networks import AUGUST
@@ -21,17 +21,7 @@ _DASHES: dict[str, list[int]] = {"-": [], "--": [7, 4], ":": [2, 4]}
 
 
 def write_accuracy(
-    path: str | Path,
-    rows: Sequence[Mapping[str, Any]],
-    thresholds: Sequence[Mapping[str, Any]],
-    *,
-    title: str,
-    lead: str,
-    note: str,
-    setup: Sequence[tuple[str, str]],
-    following: Sequence[tuple[str, str]],
-    repeat: Sequence[tuple[str, str]],
-    configuration: str,
+    path: str | Path, rows: Sequence[Mapping[str, Any]], thresholds: Sequence[Mapping[str, Any]], about: About
 ) -> None:
     """Write the report of an evaluation.
 
@@ -39,11 +29,7 @@ def write_accuracy(
         path: the HTML file.
         rows: of :func:`august_jax.evaluation.evaluate`.
         thresholds: of :func:`august_jax.evaluation.thresholds`.
-        title, lead, note: heading, the sentence below it, and the remark under the table of schemes.
-        setup: pairs of name and value that say how the samples were made.
-        following: pairs of a command to try next and what it does.
-        repeat: pairs of a command that evaluates again and what it needs.
-        configuration: of the evaluation, as text.
+        about: what the report says of itself.
     """
     labels = {row["scheme"]: row["label"] for row in rows}
     schemes = [
@@ -56,16 +42,5 @@ def write_accuracy(
         }
         for name, style in styles_of(labels).items()
     ]
-    payload = {
-        "title": title,
-        "lead": lead,
-        "note": note,
-        "setup": [list(pair) for pair in setup],
-        "next": [list(pair) for pair in following],
-        "repeat": [list(pair) for pair in repeat],
-        "configuration": configuration,
-        "schemes": schemes,
-        "rows": [dict(row) for row in rows],
-        "thresholds": [dict(each) for each in thresholds],
-    }
+    payload = {**about.payload(), "schemes": schemes, "rows": list(rows), "thresholds": list(thresholds)}
     write_page(path, "accuracy.html", payload)

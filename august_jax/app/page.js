@@ -73,3 +73,17 @@ function commands(list, lines) {
     return item;
   }));
 }
+
+// ---- heading, and the cards of made.html ----------------------------------------------------------------------
+function introduce() {
+  document.title = $("title").textContent = data.title;
+  $("lead").textContent = data.lead;
+}
+function tellMade(kept) {
+  fill($("setup"), data.setup);
+  commands($("repeat"), data.repeat);
+  commands($("next"), data.next);
+  $("kept").textContent = kept;
+  $("configuration").textContent = data.configuration;
+  $("configurationCard").hidden = !data.configuration;
+}

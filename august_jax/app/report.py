@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from august_jax.app.page import steps_of, write_page
+from august_jax.app.page import About, steps_of, write_page
 
 if TYPE_CHECKING:
     from august_jax.scene import WorldCloud
@@ -30,14 +30,8 @@ def write_report(
     path: str | Path,
     track: Track,
     scores: Mapping[str, Any],
+    about: About,
     *,
-    title: str,
-    lead: str,
-    note: str,
-    setup: Sequence[tuple[str, str]],
-    following: Sequence[tuple[str, str]],
-    repeat: Sequence[tuple[str, str]],
-    configuration: str,
     permittivity: tuple[float, float],
     conductivity: tuple[float, float],
     scheme: tuple[str, str] = ("august", "AUGUST"),
@@ -50,18 +44,14 @@ def write_report(
         track: what was true and what was reconstructed.
         scores: ``slots`` and ``schemes`` as :func:`august_jax.evaluation.score_track` gives them, and ``bound`` where
             it is known: ``bound_m`` [m] and ``bound_mde``, what noise leaves to one who knows the craft.
-        title, lead, note: heading, the sentence below it, and the remark under the table of schemes.
-        setup: pairs of name and value that say how the clouds were made.
-        following: pairs of a command to try next and what it does.
-        repeat: pairs of a command that makes the run again and what it needs.
-        configuration: of the run, as text.
+        about: what the report says of itself.
         permittivity, conductivity: ranges of the colour scale, [1] and [S/m].
         scheme: name of the one that made the clouds, and what it is called in charts.
         hypotheses: slot -> surfaces of the hypotheses that its entry of the scores tells of, in their order.
     """
     ranges = {"permittivity": list(permittivity), "conductivity": list(conductivity)}
-    about = track.position[:, None, :]
-    truth, cloud = track.truth - about, track.points - about
+    places = track.position[:, None, :]
+    truth, cloud = track.truth - places, track.points - places
     guessed = {
         index: [np.asarray(each.points) - track.position[index] for each in several]
         for index, several in (hypotheses or {}).items()
@@ -72,13 +62,7 @@ def write_report(
     reach = float(np.quantile(np.linalg.norm(truth, axis=-1), 0.999)) * 1.25
     bearing = track.position[-1]
     payload = {
-        "title": title,
-        "lead": lead,
-        "note": note,
-        "setup": [list(pair) for pair in setup],
-        "next": [list(pair) for pair in following],
-        "repeat": [list(pair) for pair in repeat],
-        "configuration": configuration,
+        **about.payload(),
         "bound": scores.get("bound"),
         "range": ranges,
         "quantum_m": quantum_m,

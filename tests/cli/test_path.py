@@ -7,7 +7,6 @@ and that its numbers hang together. How good the numbers are is not a matter of 
 import hashlib
 import json
 import math
-import re
 import shlex
 import shutil
 from pathlib import Path
@@ -17,6 +16,7 @@ import pytest
 import scipy.io
 import trimesh
 from made_up_posterior import search_is_made_up
+from test_report import payload
 
 from august_jax.app import cli
 from august_jax.app.cli.parser import parse
@@ -208,10 +208,9 @@ def test_evaluate_rows(capsys, home, monkeypatch, unchecked):
     assert rows["resampling"]["mpe_m"] < rows["prediction"]["mpe_m"] < 0.5 * math.sqrt(3.0)
     assert json.loads((home / "evaluation" / "evaluation.json").read_text())["rows"] == result["rows"]
     assert (home / "evaluation" / "evaluation.png").is_file()
-    report = (home / "evaluation" / "report.html").read_text(encoding="utf-8")
-    payload = json.loads(re.search(r'id="payload">(.*?)</script>', report, re.S)[1])
-    assert payload["rows"] == result["rows"] and payload["thresholds"] == result["thresholds"]
-    (again, _), (following, _) = payload["repeat"][0], payload["next"][0]
+    page = payload((home / "evaluation" / "report.html").read_text(encoding="utf-8"))
+    assert page["rows"] == result["rows"] and page["thresholds"] == result["thresholds"]
+    (again, _), (following, _) = page["repeat"][0], page["next"][0]
     assert again == result["command_line"]
     # what is to be tried next is of the same run, and leaves out what is of evaluations alone
     assert shlex.split(following) == ["august", "demo", "--seed", "5", "--run", str(home / "run")]
@@ -442,7 +441,11 @@ def test_lines_to_try_next_hold_what_was_given(capsys, home, mesh, tmp_path, mon
     from august_jax.app import report
 
     written = {}
-    monkeypatch.setattr(report, "write_report", lambda *args, following, **rest: written.update(following=following))
+
+    def write_report(path, track, scores, about, **rest):
+        written.update(following=about.following)
+
+    monkeypatch.setattr(report, "write_report", write_report)
     spaced = tmp_path / "my drones" / "one of them.stl"
     spaced.parent.mkdir()
     shutil.copy(mesh, spaced)

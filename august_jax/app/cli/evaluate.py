@@ -13,7 +13,7 @@ from august_jax.app.cli.common import chosen_weights, counted, folder
 from august_jax.app.cli.dry import about, dry_run_argument, long, size, told_plan
 from august_jax.app.cli.messages import UsageError, command_line, expected_table, note, say, scheme_table, search_table
 from august_jax.app.cli.parser import Command, name, whole
-from august_jax.app.cli.results import array_told, needed
+from august_jax.app.cli.results import array_told, look, needed
 from august_jax.config import Config
 
 _MOST_RUNS = 64
@@ -45,6 +45,7 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
     from august_jax import evaluation, pipeline
     from august_jax.app import plotting
     from august_jax.app.accuracy import write_accuracy
+    from august_jax.app.page import About
     from august_jax.files import replacing_together
     from august_jax.schemes import lines_of
 
@@ -77,20 +78,22 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
             aside["report.html"],
             rows,
             found["thresholds"],
-            title=title,
-            lead=f"Each sample is of its own flight, style {config.flight.style}, heard by an array of "
-            f"{array_told(config)} within {config.region.threshold_m:g} m of its prediction along each axis. All SNRs "
-            "and schemes share samples.",
-            note=evaluation.NOTE,
-            setup=[
-                ("craft", ", ".join(config.target.airframes)),
-                ("weights", ", ".join(weights.values()) if isinstance(weights, dict) else weights),
-                ("seed", str(args.seed)),
-                ("computed in", f"{time.monotonic() - started:.0f} s"),
-            ],
-            following=following,
-            repeat=[(result["command_line"], needed())],
-            configuration=configuration.to_yaml(config),
+            About(
+                title=title,
+                lead=f"Each sample is of its own flight, style {config.flight.style}, heard by an array of "
+                f"{array_told(config)} within {config.region.threshold_m:g} m of its prediction along each axis. "
+                "All SNRs and schemes share samples.",
+                note=evaluation.NOTE,
+                setup=[
+                    ("craft", ", ".join(config.target.airframes)),
+                    ("weights", ", ".join(weights.values()) if isinstance(weights, dict) else weights),
+                    ("seed", str(args.seed)),
+                    ("computed in", f"{time.monotonic() - started:.0f} s"),
+                ],
+                following=following,
+                repeat=[(result["command_line"], needed())],
+                configuration=configuration.to_yaml(config),
+            ),
         )
     say(args, scheme_table(rows, snr=True))
     searched = search_table(rows)
@@ -100,9 +103,7 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
     if expected:
         say(args, f"\n{expected}")
     say(args, f"\n{evaluation.NOTE}\nwritten to {out}/: report.html, evaluation.png, evaluation.json")
-    say(args, f"look:  {(out / 'report.html').resolve().as_uri()}")
-    for line, why in following[:1]:
-        say(args, f"next:  {line}   # {why}")
+    look(args, out, following[:1])
     return {"out": str(out), **result}
 
 

@@ -42,6 +42,13 @@ def kept(args: argparse.Namespace, config: Config, craft: Mapping[str, Any] | No
     }
 
 
+def look(args: argparse.Namespace, out: Path, following: Sequence[tuple[str, str]]) -> None:
+    """Say where the report is and what to run next, pairs of a command line and what it does."""
+    say(args, f"look:  {(out / 'report.html').resolve().as_uri()}")
+    for line, why in following:
+        say(args, f"next:  {line}   # {why}")
+
+
 def leave(
     args: argparse.Namespace,
     out: Path,
@@ -81,6 +88,7 @@ def leave(
     from august_jax import evaluation
     from august_jax.app import report
     from august_jax.app.export import write_ply, write_record
+    from august_jax.app.page import About
     from august_jax.files import replacing_together
 
     metrics = {
@@ -103,13 +111,15 @@ def leave(
             aside["report.html"],
             track,
             scores,
-            title=title,
-            lead=lead,
-            note=evaluation.NOTE,
-            setup=[*setup, ("seed", str(args.seed)), ("computed in", f"{seconds:.0f} s")],
-            following=following,
-            repeat=[(command_line(*args.words), needed(made.get("craft")))],
-            configuration=configuration.to_yaml(config),
+            About(
+                title=title,
+                lead=lead,
+                note=evaluation.NOTE,
+                setup=[*setup, ("seed", str(args.seed)), ("computed in", f"{seconds:.0f} s")],
+                following=following,
+                repeat=[(command_line(*args.words), needed(made.get("craft")))],
+                configuration=configuration.to_yaml(config),
+            ),
             scheme=scheme,
             hypotheses=hypotheses,
             permittivity=config.target.permittivity,
@@ -121,7 +131,5 @@ def leave(
         say(args, f"{first}\n")
     say(args, scheme_table(scores["schemes"], snr=False))
     say(args, f"\nwritten in {seconds:.0f} s to {out}/: {', '.join(files)}")
-    say(args, f"look:  {(out / 'report.html').resolve().as_uri()}")
-    for line, why in following[:2]:
-        say(args, f"next:  {line}   # {why}")
+    look(args, out, following[:2])
     return {"out": str(out), "files": files, **metrics}
