@@ -17,6 +17,14 @@ def size(png):
     return struct.unpack(">II", head[16:24])
 
 
+@pytest.fixture
+def drawn(monkeypatch):
+    """The figures that are saved, to look into."""
+    figures = []
+    monkeypatch.setattr(plotting, "save", lambda figure, png: figures.append(figure))
+    return figures
+
+
 def test_training_curves_draw_every_term_once(tmp_path):
     lines = [{"step": 10 * k, "loss": 1.0 / k, "position": 0.5 / k, "samples_per_s": 100.0} for k in range(1, 40)]
     (tmp_path / "two.jsonl").write_text("\n".join(map(json.dumps, lines)))
@@ -27,19 +35,34 @@ def test_training_curves_draw_every_term_once(tmp_path):
     assert size(tmp_path / "two.png")[0] == 2 * size(tmp_path / "one.png")[0]
 
 
+NETWORKS = {"step": 2.0, "gradient": 9.0, "latent": 8.0, "loss": 3.0, "material": 2.0, "position": 1.0,
+            "samples_per_s": 7.0, "seconds_left": 0.0,
+            "validation_mpe_m": 0.2, "validation_prediction_m": 0.5}  # fmt: skip
+PREDICTOR = {"step": 2.0, "gradient": 9.0, "kalman": 1.2, "loss": 0.9, "samples_per_s": 7.0, "seconds_left": 0.0,
+             "smooth": 0.1, "dynamic": 0.2, "smooth_kalman": 0.15, "dynamic_kalman": 0.3}  # fmt: skip
+
+
+def test_each_number_of_a_training_run_has_one_panel_with_its_baseline_in_it(tmp_path, drawn):
+    wanted = {"validation_mpe_m": "validation_prediction_m", "loss": None, "latent": None, "material": None,
+              "position": None, "gradient": None}  # fmt: skip
+    assert {panel.name: panel.base for panel in plotting.training_panels([{"step": 1.0}, NETWORKS])} == wanted
+    assert [(panel.name, panel.base) for panel in plotting.training_panels([PREDICTOR])] == [
+        ("smooth", "smooth_kalman"), ("dynamic", "dynamic_kalman"), ("loss", "kalman"), ("gradient", None)
+    ]  # fmt: skip
+    assert plotting.training_panels([]) == []
+    assert all(len(panel.title) > len(panel.name) for panel in plotting.training_panels([NETWORKS]))
+    (tmp_path / "metrics.jsonl").write_text(json.dumps({**NETWORKS, "step": 1.0}) + "\n" + json.dumps(NETWORKS))
+    plotting.training_curves(tmp_path / "metrics.jsonl", tmp_path / "curves.png")
+    first, *others = drawn[0].axes
+    heights = [line.get_ydata()[-1] for line in first.lines]
+    assert heights == [0.2, 0.5] and [len(axes.lines) for axes in others] == [1] * 5
+
+
 def test_training_curves_refuse_an_empty_log(tmp_path):
     (tmp_path / "metrics.jsonl").write_text("")
     with pytest.raises(ValueError, match="holds no loss terms"):
         plotting.training_curves(tmp_path / "metrics.jsonl", tmp_path / "curves.png")
     assert not (tmp_path / "curves.png").exists()
-
-
-@pytest.fixture
-def drawn(monkeypatch):
-    """The figures that are saved, to look into."""
-    figures = []
-    monkeypatch.setattr(plotting, "save", lambda figure, png: figures.append(figure))
-    return figures
 
 
 @pytest.mark.parametrize("slots, panels", [(1, 2), (3, 6), (9, 8)])

@@ -47,36 +47,100 @@ def styles_of(schemes: Collection[str]) -> dict[str, dict[str, Any]]:
     return {name: STYLES.get(name) or {"color": next(others), "marker": "s", "ms": 4} for name in schemes}
 
 
+class Panel(NamedTuple):
+    """One chart of a training run.
+
+    Attributes:
+        name: of the number in ``metrics.jsonl``.
+        base: of the number there that it is held against, None if of none.
+        title: what the number is.
+    """
+
+    name: str
+    base: str | None
+    title: str
+
+
+_TITLES = {
+    "validation_mpe_m": "mean position error on validation samples [m]",
+    "loss": "what is minimised, the weighted sum of the terms",
+    "position": "denoising of x, y, z: squared error of the noise; 3 by answering none",
+    "material": "denoising of permittivity and conductivity: squared error of the noise; 2 by answering none",
+    "latent": "code: its log density as the encoder draws it, less that by the prior",
+    "readout": "readout of place, normal, material and arms: squared error",
+    "signature": "denoising of the arms' harmonics: mean squared error of the noise; 1 by answering none",
+    "reference": "estimate of the channel at the reference place: squared error, relative to it",
+    "gradient": "norm of the gradient, before it is clipped",
+}
+_OF_A_PREDICTOR = {"loss": "mean distance from the truth, in units of the filter's standard deviation"}
+
+
+def training_panels(lines: Sequence[Mapping[str, Any]]) -> list[Panel]:
+    """The charts of a run: what was validated first, then the loss, then its terms; each with its own baseline.
+
+    Args:
+        lines: of ``metrics.jsonl``, each with ``step`` and any number of scalars.
+    """
+    numbers = [name for name, value in (lines[-1] if lines else {}).items() if isinstance(value, int | float)]
+    bases = {name: f"{name}_kalman" for name in numbers if f"{name}_kalman" in numbers}
+    of_a_predictor = bool(bases)
+    for name, base in (("validation_mpe_m", "validation_prediction_m"), ("loss", "kalman")):
+        if name in numbers and base in numbers:
+            bases[name] = base
+    skipped = {"step", "samples_per_s", "seconds_left", *bases.values()}
+    titles = _TITLES | {name: f"mean error on {name} flights [m]" for name in bases if f"{name}_kalman" in numbers}
+    if of_a_predictor:
+        titles |= _OF_A_PREDICTOR
+    validated = [name for name in bases if name != "loss"]
+    names = sorted(  # which keeps the order of equals
+        (name for name in numbers if name not in skipped),
+        key=lambda name: (name not in validated, name != "loss", name == "gradient"),
+    )
+    return [Panel(name, bases.get(name), titles.get(name, name)) for name in names]
+
+
+def read_metrics(metrics_jsonl: str | Path) -> list[dict[str, Any]]:
+    """The lines of a run's ``metrics.jsonl``."""
+    text = Path(metrics_jsonl).read_text(encoding="utf-8")
+    return [json.loads(line) for line in text.splitlines() if line.strip()]
+
+
 def training_curves(metrics_jsonl: str | Path, png: str | Path) -> None:
-    """Draw every loss term of a run over its steps.
+    """Draw every number of a run over its steps, with what it is held against.
 
     Args:
         metrics_jsonl: one JSON object a line, with ``step`` and any number of scalar terms.
         png: the picture.
+
+    Raises:
+        ValueError: there is nothing to draw.
     """
-    lines = [json.loads(line) for line in Path(metrics_jsonl).read_text().splitlines() if line.strip()]
-    skipped = {"step", "samples_per_s", "seconds_left"}
-    names = [
-        name
-        for name, value in (lines[-1] if lines else {}).items()
-        if name not in skipped and isinstance(value, (int, float))
-    ]
-    if not names:
+    lines = read_metrics(metrics_jsonl)
+    panels = training_panels(lines)
+    if not panels:
         raise ValueError(f"metrics_jsonl: {metrics_jsonl} holds no loss terms; train for at least one logged step")
-    columns = min(3, len(names))
-    figure = new_figure(4.2 * columns, 2.9 * -(-len(names) // columns))
-    for index, name in enumerate(names):
-        axes = figure.add_subplot(-(-len(names) // columns), columns, index + 1)
-        pairs = [(line["step"], line[name]) for line in lines if line.get(name) is not None]
-        steps, values = np.array(pairs).T
-        axes.plot(steps, values, color=MODEL, lw=0.8, alpha=0.35 if len(values) > 20 else 1.0)
-        if len(values) > 20:
-            width = max(len(values) // 40, 3)
-            smooth = np.convolve(values, np.ones(width) / width, mode="valid")
-            axes.plot(steps[width - 1 :], smooth, color=MODEL, lw=1.8)
-        if (values > 0).all() and values.max() > 20 * values.min():
+    columns = min(3, len(panels))
+    figure = new_figure(4.2 * columns, 2.9 * -(-len(panels) // columns))
+    for index, panel in enumerate(panels):
+        axes = figure.add_subplot(-(-len(panels) // columns), columns, index + 1)
+        drawn = []
+        for name, colour in ((panel.name, MODEL), *(((panel.base, BASE),) if panel.base else ())):
+            pairs = [(line["step"], line[name]) for line in lines if line.get(name) is not None]
+            if not pairs:
+                continue
+            steps, values = np.array(pairs).T
+            drawn.append(values)
+            axes.plot(steps, values, color=colour, lw=0.8, alpha=0.35 if len(values) > 20 else 1.0)
+            if len(values) > 20:
+                width = max(len(values) // 40, 3)
+                smooth = np.convolve(values, np.ones(width) / width, mode="valid")
+                axes.plot(steps[width - 1 :], smooth, color=colour, lw=1.8)
+        every = np.concatenate(drawn)
+        if (every > 0).all() and every.max() > 20 * every.min():
             axes.set_yscale("log")
-        axes.set_title(name, loc="left")
+        axes.set_title(panel.name, loc="left")
+        if panel.base is not None:
+            axes.set_title(panel.base, loc="right", color=BASE)
         axes.set_xlabel("step")
         _tidy(axes)
     save(figure, png)

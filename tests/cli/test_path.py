@@ -130,12 +130,18 @@ def test_train_needs_no_data_for_a_stream_and_continues(capsys, tmp_path):
 
 def test_train_leaves_a_run(home):
     names = {path.name for path in (home / "run").iterdir()}
-    assert {"weights.npz", "config.yaml", "metrics.jsonl", "curves.png"} <= names
+    assert {"weights.npz", "config.yaml", "metrics.jsonl", "curves.png", "report.html"} <= names
     lines = [json.loads(line) for line in (home / "run" / "metrics.jsonl").read_text().splitlines()]
     assert [line["step"] for line in lines] == [2, 4]
     assert all(math.isfinite(value) for line in lines for value in line.values())
     # the ninth of ten flights is for validation; its predictions miss by less than the cube's half diagonal
     assert 0.0 < lines[-1]["validation_prediction_m"] < 0.5 * math.sqrt(3.0)
+    page = payload((home / "run" / "report.html").read_text(encoding="utf-8"))
+    assert page["lines"] == lines and page["steps"] == 4 and str(home / "data") in page["lead"]
+    assert page["configuration"] in (home / "run" / "config.yaml").read_text()
+    (again, _), (following, _) = page["repeat"][0], page["next"][0]
+    assert shlex.split(again)[:2] == ["august", "train"] and str(home / "run") in shlex.split(again)
+    assert shlex.split(following) == ["august", "evaluate", str(home / "run"), "--seed", "1"]
 
 
 def test_commands_keep_off_each_other_s_folders(capsys, home, flown):

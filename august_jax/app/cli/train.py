@@ -18,15 +18,22 @@ from august_jax.app.cli.common import chosen_config, devices, devices_argument, 
 from august_jax.app.cli.dry import about, dry_run_argument, size, told_plan
 from august_jax.app.cli.messages import command_line, note, say
 from august_jax.app.cli.parser import Command, presets_help
+from august_jax.app.cli.results import look, needed
 from august_jax.config import Config, ConfigError
 
 if TYPE_CHECKING:
     from jax.sharding import Mesh
 
     from august_jax.data import Batch, Dataset, Sample, StreamedBatches, TrainingBatches
+    from august_jax.training.loop import Draw
 
 
 TARGETS = ("networks", "predictor")
+_NOTE = (
+    "Validation is by the moving average of the weights, on samples that are not trained on. A term tells how far "
+    "learning has come, not how good a cloud is."
+)
+_PREDICTORS_NOTE = "Validation is by the moving average of the weights, on flights that are not trained on."
 
 
 def _arguments(parser: argparse.ArgumentParser) -> None:
@@ -70,7 +77,7 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
         any(text.startswith("train.source=") for text in args.overrides)
         and chosen_config(args).train.source == "stream"
     ):
-        config, make = chosen_config(args), partial(_streamed, mesh)
+        config, make, source = chosen_config(args), partial(_streamed, mesh), "a stream that never repeats"
         if args.data:
             raise ConfigError(
                 f"--data: {args.data}, but train.source=stream makes its samples as it trains\n"
@@ -78,9 +85,8 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
             )
     else:
         dataset, config = _stored(args)
-        make = partial(_batches, dataset)
+        make, source = partial(_batches, dataset), f"{_data(args)}/"
     from august_jax import pipeline
-    from august_jax.app.plotting import training_curves
     from august_jax.evaluation import validator
     from august_jax.hosts import is_first
     from august_jax.training.loop import train
@@ -88,12 +94,13 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
     weights = pipeline.run_files(None if args.init == "shipped" else args.init)[1] if args.init else None
     out = _apart(folder(args, f"august_runs/{config.preset}", configured=True), "predictor.npz", "a predictor")
     batches, held_out = make(config)
+    following = [(command_line("evaluate", str(out), "--seed", "1"), "its accuracy over SNR, on fresh samples")]
     state = train(
         config,
         batches,
         out,
         validate=validator(held_out, config),
-        draw=training_curves,
+        draw=_drawn(args, config, f"Networks, scheme {config.model.scheme}", source, following, _NOTE),
         weights=weights,
         mesh=mesh,
         progress=note,
@@ -101,11 +108,8 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
     if not is_first():
         return _elsewhere(args, int(state.step))
     last = _told(args, out, int(state.step))
-    say(
-        args,
-        f"written to {out}/: weights.npz, config.yaml, metrics.jsonl, curves.png, checkpoints\n"
-        f"next:  {command_line('evaluate', str(out), '--seed', '1')}",
-    )
+    say(args, f"written to {out}/: weights.npz, config.yaml, report.html, metrics.jsonl, curves.png, checkpoints")
+    look(args, out, following)
     return {"out": str(out), "metrics": last}
 
 
@@ -113,7 +117,7 @@ def _plan(args: argparse.Namespace) -> dict[str, Any]:
     """On the configuration of the data where they are there, else of the preset: what data are needed is said."""
     from august_jax.app.plan import training
 
-    data, config = Path(args.data or f"august_data/{args.preset or 'laptop'}"), chosen_config(args)
+    data, config = _data(args), chosen_config(args)
     if config.train.source == "stream":
         needs = "none: made as training goes"
     elif (data / "manifest.json").exists():
@@ -142,7 +146,6 @@ def _predictor(args: argparse.Namespace) -> dict[str, Any]:
         raise ConfigError(
             f"--data: {args.data}, but a predictor learns from flights that are made for it\nleave --data out"
         )
-    from august_jax.app.plotting import training_curves
     from august_jax.hosts import is_first
     from august_jax.tracking.predictors.lstm import SHIPPED, WEIGHTS
     from august_jax.training.predictor import train_predictor
@@ -156,18 +159,49 @@ def _predictor(args: argparse.Namespace) -> dict[str, Any]:
             )
     default = f"august_runs/predictor_{config.preset}"
     out = _apart(folder(args, default, configured=True), "weights.npz", "networks")
-    state = train_predictor(config, out, draw=training_curves, weights=weights, mesh=mesh, progress=note)
+    study = ["python", "experiments/prediction.py", "compute", "--run", str(out), "--results", f"{out}/prediction.npz"]
+    following = [(shlex.join(study), "how far its predictions err in closed loop, beside the Kalman filter's")]
+    draw = _drawn(args, config, "Predictor", "flights that are flown for it", following, _PREDICTORS_NOTE)
+    state = train_predictor(config, out, draw=draw, weights=weights, mesh=mesh, progress=note)
     if not is_first():
         return _elsewhere(args, int(state.step))
     last = _told(args, out, int(state.step))
-    study = ["python", "experiments/prediction.py", "compute", "--run", str(out), "--results", f"{out}/prediction.npz"]
-    say(
-        args,
-        f"written to {out}/: {WEIGHTS}, config.yaml, metrics.jsonl, curves.png, checkpoints\n"
-        f"next:  {shlex.join(study)}\n"
-        f"or in Python: sense(..., predictor=KalmanLSTM.for_flight(config.flight, {str(out)!r}))",
-    )
+    say(args, f"written to {out}/: {WEIGHTS}, config.yaml, report.html, metrics.jsonl, curves.png, checkpoints")
+    look(args, out, following)
+    say(args, f"or in Python: sense(..., predictor=KalmanLSTM.for_flight(config.flight, {str(out)!r}))")
     return {"out": str(out), "metrics": last}
+
+
+def _drawn(
+    args: argparse.Namespace, config: Config, what: str, source: str, following: list[tuple[str, str]], remark: str
+) -> Draw:
+    """Draws a run's picture and its report; see :class:`august_jax.app.page.About` for ``following`` and ``remark``."""
+    from august_jax.app.learning import write_learning
+    from august_jax.app.page import About
+    from august_jax.app.plotting import read_metrics, training_curves
+
+    settings = config.train
+    told = About(
+        title=f"{what}, preset {config.preset}",
+        lead=f"Trained on {source}, {settings.steps} steps of {settings.batch}. This page is written again at "
+        f"every save, after each {settings.save_every} steps: load it anew.",
+        note=remark,
+        setup=[
+            ("trained on", source),
+            ("learning rate", " to ".join(f"{rate:g}" for rate in settings.learning_rate)),
+            ("seed", str(settings.seed)),
+            *([("started from", args.init)] if args.init else []),
+        ],
+        following=following,
+        repeat=[(command_line(*args.words), f"goes on where the run stands; anew in another folder; {needed()}")],
+        configuration=configuration.to_yaml(config),
+    )
+
+    def draw(metrics: Path, picture: Path) -> None:
+        training_curves(metrics, picture)
+        write_learning(picture.with_name("report.html"), read_metrics(metrics), settings.steps, told)
+
+    return draw
 
 
 def _apart(out: Path, mark: str, held: str) -> Path:
@@ -192,12 +226,16 @@ def _told(args: argparse.Namespace, out: Path, step: int) -> dict[str, Any]:
     return last
 
 
+def _data(args: argparse.Namespace) -> Path:
+    """Where the data set is."""
+    return Path(args.data or f"august_data/{args.preset or 'laptop'}")
+
+
 def _stored(args: argparse.Namespace) -> tuple[Dataset, Config]:
     """The data set, and the configuration to train with on it."""
-    preset = args.preset or "laptop"
-    data = Path(args.data or f"august_data/{preset}")
+    data = _data(args)
     if not (data / "manifest.json").exists():
-        chosen_config(args)  # other mistakes are told first
+        preset = chosen_config(args).preset  # other mistakes are told first
         raise ConfigError(
             f"--data: {data} holds no data (no manifest.json)\n"
             f"make them: {command_line('simulate', '--preset', preset, '--out', str(data))}\n"
