@@ -132,9 +132,10 @@ PRESETS: dict[str, Preset] = {
         build=_paper,
         command=_command("paper", "august_runs/paper --seed 1"),
         time="simulate: five to six minutes for the channels alone on two CPU cores (benchmarks/simulator.py, "
-        "--parts set); train: 4.3 ms a step of 100 points a cloud on an NVIDIA H200 (benchmarks/training.py), some two "
-        "minutes for 31,250, but 17 hours at the 131 samples/s that its channel estimates let through there "
-        "(docs/results.md; they are quicker since, not timed on one); never run to its end",
+        "--parts set), their estimates beside; train: not timed with its 1000 points a cloud; with 100 a step takes "
+        "4.3 ms on an NVIDIA H200 (benchmarks/training.py), some two minutes for 31,250. On a stream, which estimates "
+        "anew in each step, 17 hours at 131 samples/s there (docs/results.md; quicker since, not timed on one). Never "
+        "run to its end",
         expected="not known: it was never trained at its full scale",
     ),
 }

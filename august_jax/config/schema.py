@@ -192,8 +192,8 @@ class DataConfig(Section):
     split: Annotated[tuple[int, int, int], within(0, 1000)] = (8, 1, 1)
     """Train : validation : test, by flight."""
     solver: Solver = "mom"
-    """Of the scattered field; ``table`` looks ``mom``'s channels up in tables of the factored bodies, tens of times
-    faster, with an error of some 1e-3 that is measured and told."""
+    """Of the scattered field; ``table`` looks ``mom``'s channels up in tables of the factored bodies, a channel
+    tens of times and a data set ten times faster, with an error of some 1e-3 that is measured and told."""
     observed: bool = True
     """Keep with every sample what the base station made of it (prediction, SNR, estimated channel), which is needed
     where ``train.reobserve`` is false; false leaves it out."""
