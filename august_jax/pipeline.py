@@ -41,7 +41,12 @@ def run_files(run: str | Path | None = None) -> tuple[Path, Path]:
     files = folder / "config.yaml", folder / "weights.npz"
     for path in files:
         if not path.is_file():
-            raise ValueError(f"run: {path} is not there; give what august train wrote, or use the shipped weights")
+            raise ValueError(
+                f"run: {folder} holds a predictor, and no networks; give what august train wrote of these, or use the "
+                "shipped weights"
+                if (folder / "predictor.npz").is_file()
+                else f"run: {path} is not there; give what august train wrote, or use the shipped weights"
+            )
     return files
 
 

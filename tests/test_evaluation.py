@@ -1,6 +1,7 @@
 """Scores: closed forms for answers whose errors are known; the bound; the loop over schemes."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from made_up_track import made_up_track
 from august_jax.config import override, preset
 from august_jax.data import generate, prepare_targets
 from august_jax.evaluation import score, score_track
-from august_jax.evaluation.bound import Bound, unit_information
+from august_jax.evaluation.bound import SAMPLES, Bound, track_bound, unit_information
 from august_jax.scene import WorldCloud
 from august_jax.schemes import Answer, Truth
 from august_jax.schemes.matched_field import search_track
@@ -159,6 +160,24 @@ def test_the_bound_of_the_first_samples_is_the_mean_of_theirs():
     levels = np.array([0.0, 30.0, 10.0, 20.0])  # each at its own, in the samples' order
     for name, values in bound.each(levels).items():
         assert values[:2] == pytest.approx([each.at(snr)[name] for each, snr in zip(alone, levels)], rel=1e-3)
+
+
+def test_the_bound_of_a_track_is_over_all_of_its_slots(monkeypatch, unchecked):
+    """A flight may be longer than what an evaluation averages over: its last slots have another bound here."""
+    slots = SAMPLES + 30
+    track = made_up_track(slots, points=1)
+    given = []
+
+    def informed(samples, predicted, targets, config):
+        given.append(len(predicted))
+        strength = np.where(np.asarray(samples.slot) < SAMPLES, 1e6, 1.0)
+        return strength[:, None, None] * np.eye(10)
+
+    monkeypatch.setattr("august_jax.evaluation.bound.unit_information", informed)
+    target = SimpleNamespace(body=None)
+    found = track_bound(track, target, preset("smoke"), 0.0)["bound_m"]
+    near = track_bound(made_up_track(SAMPLES, points=1), target, preset("smoke"), 0.0)["bound_m"]
+    assert given == [slots, SAMPLES] and found > 10.0 * near
 
 
 def test_pilots_that_light_all_directions_have_no_bound():

@@ -62,6 +62,11 @@ return { pictures, words };""")  # fmt: skip
         assert text == f"most: {shown.max():.1f} dBsm at {place}"
 
 
+def test_angles_are_told_as_they_were_asked(page):
+    told = found_in(page, "return [0.5, -1.5, 2, 0.125, -90].map(degrees);")
+    assert told == ["0.5", "-1.5", "2", "0.125", "-90"]
+
+
 @pytest.mark.parametrize("flags", [(), (DARK,)], ids=["light", "dark"])
 def test_it_is_drawn(page, tmp_path, flags):
     picture(page, tmp_path / "seen.png", width=1000, height=900, flags=flags)

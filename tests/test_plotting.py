@@ -58,6 +58,18 @@ def test_each_number_of_a_training_run_has_one_panel_with_its_baseline_in_it(tmp
     assert heights == [0.2, 0.5] and [len(axes.lines) for axes in others] == [1] * 5
 
 
+def test_a_dollar_sign_of_a_name_is_drawn_and_powers_of_ten_stay_formulas(tmp_path):
+    figure = plotting.new_figure(4.0, 3.0)
+    axes = figure.add_subplot(1, 1, 1)
+    axes.loglog([1.0, 1e4], [1e-3, 1.0], label="run_$HOME_$USER")
+    axes.set_title("my$v1_$2.stl, a single $")
+    axes.legend()
+    plotting.save(figure, tmp_path / "dollars.png")
+    assert axes.title.get_text() == "my$v1_$2.stl, a single $" and not axes.title.get_parse_math()
+    ticks = [tick for tick in axes.get_xticklabels() if "mathdefault" in tick.get_text()]
+    assert ticks and all(tick.get_parse_math() for tick in ticks)
+
+
 def test_training_curves_refuse_an_empty_log(tmp_path):
     (tmp_path / "metrics.jsonl").write_text("")
     with pytest.raises(ValueError, match="holds no loss terms"):

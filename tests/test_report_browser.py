@@ -56,6 +56,11 @@ for (let k = 0; k < 3; k++) { ids.forEach(seen); refresh(); }
 """
 
 
+def test_times_are_told_as_finely_as_slots_are_long(page):
+    told = found_in(page, "return [0, 0.2, 1, 0.02, 0.0625].map((time_s) => seconds({ time_s }));")
+    assert told == ["0.0", "0.2", "1.0", "0.02", "0.0625"]
+
+
 def test_every_view_turns_by_key_and_says_what_it_shows(page):
     found = found_in(
         page,

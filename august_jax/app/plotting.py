@@ -188,7 +188,7 @@ def clouds(
     for column, slot in enumerate(shown):
         material = np.full(len(track.truth[slot]), track.permittivity)
         drawings = [
-            (Shown(f"true, {track.time_s[slot]:.1f} s", track.truth[slot], material, track.normal[slot]), TRUTH),
+            (Shown(f"true, {track.time_s[slot]:.4g} s", track.truth[slot], material, track.normal[slot]), TRUTH),
             (
                 Shown(
                     "networks" if found else "reconstructed",
@@ -496,6 +496,11 @@ def _plain_box(axes: Axes3D, reach: float) -> None:
 
 
 def save(figure: Figure, png: str | Path) -> None:
-    """Write the figure as PNG; the file appears whole or not at all."""
+    """Write the figure as PNG; the file appears whole or not at all. A "$" in a text is a dollar sign."""
+    from matplotlib.text import Text
+
+    for text in figure.findobj(Text):
+        if "$" in text.get_text() and "mathdefault" not in text.get_text():  # which ticks of powers of ten are in
+            text.set_parse_math(False)
     with replacing(png) as aside:
         figure.savefig(aside, format="png", dpi=130)

@@ -59,6 +59,12 @@ def rising(value: tuple[float, ...]) -> str | None:
     return None if all(low <= high for low, high in zip(value, value[1:])) else "must not decrease"
 
 
+def distinct(value: tuple[Any, ...]) -> str | None:
+    """A note: no entry of a list is there twice."""
+    twice = [each for row, each in enumerate(value) if each in value[:row]]
+    return f"holds {twice[0]!r} twice; name each once" if twice else None
+
+
 def filled(value: tuple[Any, ...]) -> str | None:
     """A note: a list with at least one entry."""
     return None if value else "is empty; name at least one"

@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Annotated, Literal, get_args
 
-from august_jax.config.fields import Bounds, Section, bounds_of, checked, filled, hints, near, rising, within
+from august_jax.config.fields import Bounds, Section, bounds_of, checked, distinct, filled, hints, near, rising, within
 from august_jax.config.ties import check_ties
 
 PresetName = Literal["smoke", "laptop", "paper"]
@@ -280,7 +280,7 @@ class TrainConfig(Section):
 class EvaluateConfig(Section):
     """What ``august evaluate`` measures."""
 
-    snr_db: Annotated[tuple[float, ...], filled, _Snr] = (0.0, 5.0, 10.0, 15.0, 20.0, 25.0, 30.0)
+    snr_db: Annotated[tuple[float, ...], filled, distinct, _Snr] = (0.0, 5.0, 10.0, 15.0, 20.0, 25.0, 30.0)
     """At which SNRs of the echo [dB]."""
     count: Annotated[int, within(1, 1_000_000)] = 500
     """Samples at each SNR."""

@@ -80,20 +80,28 @@ def spread_of(config: Config) -> Spread:
 
 
 class Bound:
-    """The bound on the first 100 samples, at any SNR.
+    """The bound on the first samples, at any SNR.
 
     Args:
         samples, predicted, targets, config: as of :func:`unit_information`, the samples in any order.
+        most: how many samples, at most.
     """
 
-    def __init__(self, samples: Sample, predicted: Float[Array, "n 3"], targets: Sequence[Target], config: Config):
-        order = np.argsort(samples.airframe[:SAMPLES], kind="stable")
+    def __init__(
+        self,
+        samples: Sample,
+        predicted: Float[Array, "n 3"],
+        targets: Sequence[Target],
+        config: Config,
+        most: int = SAMPLES,
+    ):
+        order = np.argsort(samples.airframe[:most], kind="stable")
         self._information = unit_information(samples.at(order), np.asarray(predicted)[order], targets, config)
         self._order, self._normal = order, np.asarray(samples.rotation[order, :, 2])
         self._spread = spread_of(config)
 
     def each(self, snr_db: Float[Array, " n"]) -> dict[str, Float[np.ndarray, " m"]] | None:
-        """Sample by sample, each at its own SNR (n,) of at least the first 100 samples [dB]: ``bound_m`` [m] and
+        """Sample by sample, each at its own SNR (n,) of at least as many samples [dB]: ``bound_m`` [m] and
         ``bound_mde`` as of :meth:`at`; None where they are not known."""
         if self._information is None:
             return None
@@ -108,7 +116,7 @@ class Bound:
 
     def at(self, snr_db: float, count: int | None = None) -> dict[str, float | None]:
         """``bound_m``, the mean position error [m], and ``bound_mde``, half the mean square of the tilt error, of the
-        first ``count`` samples (all 100 by default); None where they are not known."""
+        first ``count`` samples (all that it is on by default); None where they are not known."""
         values = self.each(np.full(len(self._order), snr_db))
         if values is None:
             return {"bound_m": None, "bound_mde": None}
@@ -133,4 +141,4 @@ def track_bound(track: Track, target: Target, config: Config, snr_db: float) -> 
         points=np.zeros((slots, 1, 3), np.float32),  # of clouds and channels nothing is asked
         true_channel=np.zeros((slots, 1, 1), np.complex64),
     )
-    return Bound(sample, np.asarray(track.predicted, np.float32), [target], config).at(snr_db)
+    return Bound(sample, np.asarray(track.predicted, np.float32), [target], config, slots).at(snr_db)

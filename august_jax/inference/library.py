@@ -78,6 +78,20 @@ class Library:
         return body
 
 
+def check_names(names: Sequence[str]) -> None:
+    """Refuse craft that answers could not tell apart by name.
+
+    Raises:
+        ValueError: two are called alike.
+    """
+    for name in names:
+        if list(names).count(name) > 1:
+            raise ValueError(
+                f"target.airframes: two of the known craft are called {name!r}, by which answers name a craft; give "
+                "the file of one another name"
+            )
+
+
 @streams.pin
 def known_craft(
     config: Config,
@@ -96,8 +110,8 @@ def known_craft(
         progress: told how far it is.
 
     Raises:
-        ValueError: no craft, a craft twice, craft without bodies (``data.solver`` other than mom and table), or with
-            tables that do not hold all that the configuration's craft may be.
+        ValueError: no craft, a craft twice, two of one name, craft without bodies (``data.solver`` other than mom and
+            table), or with tables that do not hold all that the configuration's craft may be.
     """
     targets = tuple(prepare_targets(config, progress) if targets is None else targets)
     if not targets:
@@ -118,6 +132,7 @@ def known_craft(
             raise ValueError(
                 f"data.solver: {config.data.solver!r} makes no bodies, without which {name} cannot be found; use mom"
             )
+    check_names(list(digests.values()))
     tables = [target.table for target in targets]
     found = [table for table in tables if table is not None]
     for table in found:

@@ -5,7 +5,7 @@ import shlex
 import pytest
 
 from august_jax.app import cli
-from august_jax.app.cli.messages import command_line, in_flags
+from august_jax.app.cli.messages import command_line, in_flags, told
 from august_jax.app.cli.parser import parse
 
 CASES = {
@@ -108,6 +108,24 @@ CASES = {
         "train --preset smoke --data {tmp}/here train.source=stream",
         ["--data", "{tmp}/here", "train.source=stream", "leave --data out"],
     ),
+    "data for a stream, planned": (
+        "train --preset smoke --dry-run --data {tmp}/here train.source=stream",
+        ["--data", "{tmp}/here", "leave --data out"],
+    ),
+    "no weights to start from": (
+        "train --preset smoke train.source=stream --init {tmp}/nowhere",
+        ["--init: {tmp}/nowh"],
+    ),
+    "no weights to start from, planned": (
+        "train --preset smoke train.source=stream --init {tmp}/nowhere --dry-run",
+        ["--init: {tmp}/nowhere", "august train"],
+    ),
+    "half of several hosts, planned": (
+        "train --preset smoke --dry-run --coordinator here:1234",
+        ["--host: is missing", "--coordinator ADDRESS:PORT"],
+    ),
+    "an SNR twice": ("evaluate evaluate.snr_db=[20,10,20]", ["evaluate.snr_db", "20.0 twice", "each once"]),
+    "known drones that nobody searches": ("demo --search 0 --known=3", ["--known", "leave it out", "--search N"]),
     "data for a predictor": (
         "train --target predictor --preset smoke --data {tmp}/here",
         ["--data", "{tmp}/here", "flights", "leave --data out"],
@@ -186,6 +204,23 @@ def test_help_goes_to_stdout(capsys, words):
 def test_values_that_begin_with_a_minus_sign():
     args = parse("reconstruct --mesh a.stl --up -z --forward -y --position -1,4,2 --yaw -30".split(), cli.COMMANDS)
     assert (args.up, args.forward, args.position, args.yaw) == ("-z", "-y", (-1.0, 4.0, 2.0), -30.0)
+
+
+def test_a_folder_with_an_equals_sign_is_no_override(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "lr=3e-4").mkdir()
+    args = parse(["evaluate", "lr=3e-4", "evaluate.count=2"], cli.COMMANDS)
+    assert (args.rest, args.overrides) == (["lr=3e-4"], ["evaluate.count=2"])
+    assert parse(["export", "lr=3e-4", "--format", "mat"], cli.COMMANDS).rest == ["lr=3e-4"]
+    assert parse(["evaluate", "lr=4e-4"], cli.COMMANDS).overrides == ["lr=4e-4"]  # which the configuration refuses
+
+
+def test_a_command_that_is_advised_stays_on_its_line():
+    folder = "/scratch/" + "second-attempt/" * 14 + "august-data"
+    advice = f"make them: august simulate --preset smoke --out {folder}"
+    assert told(ValueError(f"--data: holds no data\n{advice}")).splitlines()[1:] == [advice]
+    prose = "word-of-many-parts " * 12
+    assert all(word == "word-of-many-parts" for word in told(ValueError(prose)).split()[1:])
 
 
 def test_overrides_mix_with_options():

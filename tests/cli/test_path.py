@@ -64,6 +64,11 @@ def test_simulate_has_nothing_left_to_do(capsys, home):
     assert (result["rows"], result["written"]) == (40, 0)
 
 
+def test_a_flight_keeps_off_the_report_of_an_evaluation(capsys, home, tmp_path):
+    (tmp_path / "evaluation.json").write_text("{}")
+    assert "august evaluate wrote" in refused(capsys, "demo", "--run", home / "run", "--out", tmp_path)
+
+
 DAMAGES = {
     "a bit": lambda data: flip(data / "shard-00001" / "points.npy"),
     "an end": lambda data: cut(data / "shard-00001" / "points.npy"),
@@ -150,6 +155,8 @@ def test_commands_keep_off_each_other_s_folders(capsys, home, flown):
         (["train", "--data", home / "data"], home / "data", "august simulate"),
         (["train", "--data", home / "data"], flown, "august demo"),
         (["demo", "--run", home / "run"], home / "run", "august train"),
+        (["evaluate", home / "run"], home / "run", "august train"),
+        (["evaluate", home / "run"], flown, "august demo"),
     ):
         before = (folder / "config.yaml").read_bytes()
         message = refused(capsys, *words, "--out", folder)
@@ -235,6 +242,8 @@ def test_another_of_the_compared_networks_trains_and_stands_beside(capsys, home)
     assert result["weights"] == {"august_roi": str(home / "run"), "refchannel_roi": str(other)}
     assert len({row["mpe_m"] for row in result["rows"]}) == 3
     assert (home / "compared" / "evaluation.png").is_file()
+    page = payload((home / "compared" / "report.html").read_text(encoding="utf-8"))
+    assert [["august_roi", str(home / "run")], ["refchannel_roi", str(other)]] == page["setup"][1:3]
 
 
 def test_weights_refuse_another_configuration(capsys, home):
@@ -301,6 +310,27 @@ def test_a_demo_that_searches_tells_what_it_found(capsys, home, tmp_path, monkey
     assert set(first["craft_probability"]) == {"quad_x", "hexa"} and rows["matched_field"]["craft_accuracy"] == 1.0
     assert 0.0 < result["bound"]["bound_m"] < 0.5 and 0.0 < result["bound"]["bound_mde"] < 0.25
     assert "known drones" in (tmp_path / "demo" / "report.html").read_text()
+
+
+def test_what_cannot_be_searched_for_is_said_before_anything_is_sensed(capsys, home, tmp_path, monkeypatch):
+    from august_jax import pipeline
+
+    sensed = []
+
+    def sense(*_, **__):
+        sensed.append(True)
+        raise ValueError("sensed")
+
+    monkeypatch.setattr(pipeline, "sense", sense)
+    for name, craft in (("one", "quad_x"), ("two", "octo")):
+        (tmp_path / name).mkdir()
+        procedural_airframe(craft, 0.25).mesh.export(tmp_path / name / "model.stl")
+    alike = f'target.airframes=["{tmp_path}/one/model.stl","{tmp_path}/two/model.stl"]'
+    words = ["demo", "--run", home / "run", "--search", 1, "--out", tmp_path / "out"]
+    message = refused(capsys, *words, alike)
+    assert "two of the known craft are called 'model'" in " ".join(message.split()) and not sensed
+    message = refused(capsys, *words, "data.solver=born")
+    assert "no search: data.solver=born makes no bodies" in message and sensed and not (tmp_path / "out").exists()
 
 
 @pytest.mark.slow

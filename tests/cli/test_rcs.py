@@ -87,6 +87,7 @@ def test_the_line_to_try_next_asks_for_the_same_craft_and_frequencies(found):
     following = parse(shlex.split(line.removeprefix("next:").partition("#")[0])[1:], cli.COMMANDS)
     assert (following.rest, following.frequency, following.permittivity) == (["quad_x"], (2.9, 3.0), 3.0)
     assert (following.preset, following.overrides) == ("smoke", ["target.cell_m=0.05"])
+    assert following.out == f"{found[0]}_bistatic"  # what was written stays
     assert tuple(following.azimuth) == (-180.0, 180.0, 90.0) and following.transmit == (0.0, 0.0)
 
 

@@ -23,15 +23,16 @@ _MARKS = {
     "checkpoints": "august train",
     "weights.npz": "august train",
     "clouds.npz": "august demo, august reconstruct or august track",
+    "evaluation.json": "august evaluate",
 }
-"""What is in a folder -> which command keeps its config.yaml there."""
+"""What is in a folder -> which command keeps its config.yaml, or its report.html, there."""
 _AXES = ("auto", "x", "y", "z", "-x", "-y", "-z")
 
 
 def folder(args: argparse.Namespace, default: str, *, configured: bool = False) -> Path:
     """Where the command writes; refused before the work where nothing can be written there.
 
-    With ``configured``, also refused where the ``config.yaml`` is another command's.
+    With ``configured``, also refused where the ``config.yaml`` or the ``report.html`` is another command's.
     """
     out = Path(args.out or default)
     for mark, owner in _MARKS.items():
@@ -68,13 +69,18 @@ def hosts_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def devices(args: argparse.Namespace) -> Mesh:
-    """What :func:`devices_argument` and :func:`hosts_arguments` ask for, the other hosts met; before JAX computes."""
+def check_hosts(args: argparse.Namespace) -> None:
+    """Both of :func:`hosts_arguments` or neither."""
     if (args.host is None) != (args.coordinator is None):
         raise ConfigError(
             f"--{'host' if args.host is None else 'coordinator'}: is missing; several hosts need --host I/N, with the "
             "place of each, and --coordinator ADDRESS:PORT, the same on all"
         )
+
+
+def devices(args: argparse.Namespace) -> Mesh:
+    """What :func:`devices_argument` and :func:`hosts_arguments` ask for, the other hosts met; before JAX computes."""
+    check_hosts(args)
     from august_jax import hosts
     from august_jax.mesh import data_mesh
 

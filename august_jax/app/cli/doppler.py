@@ -96,11 +96,10 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
         )
     place, velocity = np.array(args.position), np.array(args.velocity)
     airframe = procedural_airframe(args.rest[0], args.half_wheelbase or target.half_wheelbase_m)
-    nearest = float(np.linalg.norm(place + velocity * np.array([[0.0], [0.5], [1.0]]) * args.seconds, axis=1).min())
-    if nearest < 2.0 * airframe.radius_m + 0.5:
-        raise ConfigError(
-            f"--position: {nearest:.2g} m from the antennas at the nearest; keep {2.0 * airframe.radius_m + 0.5:.2g} m"
-        )
+    closest_s = np.clip(-place @ velocity / max(float(velocity @ velocity), 1e-12), 0.0, args.seconds)
+    nearest, least = float(np.linalg.norm(place + closest_s * velocity)), 2.0 * airframe.radius_m + 0.5
+    if nearest < least:
+        raise ConfigError(f"--position: {nearest:.2g} m from the antennas at the nearest; keep {least:.2g} m")
     hertz = config.array.frequency_hz if args.frequency is None else 1e9 * args.frequency
     permittivity, conductivity = material(args, target)
     chi = complex(contrast(permittivity, conductivity, hertz))
@@ -169,6 +168,8 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
         *("half_wheelbase", "rate", "position", "seconds", "pulses", "frequency"),
         *("permittivity", "conductivity", "preset"),
     )
+    radial, what = _along(place, least, args.seconds)
+    again += ["--velocity", radial, "--out", f"{out}_moving"]
     folded = " (folded: more --pulses)" if abs(expected) + max(tips) > args.pulses / 2.0 else ""
     say(
         args,
@@ -177,8 +178,7 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
         f"tips     up to {max(tips):.0f} Hz either way{folded}\n"
         f"flashes  {', '.join(f'{each:g}' for each in sorted(set(flashes)))} a second\n"
         f"written: {out}/doppler.png, doppler.npz, doppler.mat in {time.monotonic() - started:.0f} s\n"
-        f"next:  {command_line('doppler', *args.rest, *again, '--velocity', '0,-10,0', *args.overrides)}"
-        "   # coming nearer",
+        f"next:  {command_line('doppler', *args.rest, *again, *args.overrides)}   # {what}",
     )
     return {
         "out": str(out),
@@ -190,6 +190,16 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
         "tip_shift_hz": max(tips),
         "flash_hz": flashes,
     }
+
+
+def _along(place, least_m: float, seconds: float) -> tuple[str, str]:
+    """A velocity of up to 10 m/s along the line of sight, in words, and what it does: nearer where there is room."""
+    import numpy as np
+
+    distance = float(np.linalg.norm(place))
+    room = 0.8 * (distance - least_m) / seconds
+    speed, what = (min(10.0, room), "coming nearer") if room > 1.0 else (-10.0, "going away")
+    return ",".join(f"{each:.3g}" for each in -speed * np.asarray(place) / distance + 0.0), what
 
 
 def _draw(series, pulses: float, hull_hz: float, tip_hz: float, flash_hz: float, png, *, title: str) -> None:

@@ -50,7 +50,7 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
     from august_jax.schemes import lines_of
 
     started = time.monotonic()
-    out = folder(args, "august_evaluate")
+    out = folder(args, "august_evaluate", configured=True)
     if args.run and args.rest:
         raise UsageError(f"{args.rest[0]!r}: the run is already given as --run {args.run}; name one")
     runs = args.rest or [args.run]
@@ -86,7 +86,7 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
                 note=evaluation.NOTE,
                 setup=[
                     ("craft", ", ".join(config.target.airframes)),
-                    ("weights", ", ".join(weights.values()) if isinstance(weights, dict) else weights),
+                    *([("weights", weights)] if len(several) == 1 else weights.items()),
                     ("seed", str(args.seed)),
                     ("computed in", f"{time.monotonic() - started:.0f} s"),
                 ],
@@ -95,6 +95,8 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
                 configuration=configuration.to_yaml(config),
             ),
         )
+    if len(several) > 1:
+        say(args, "\n".join(f"{line} is of {folder_of}" for line, folder_of in weights.items()) + "\n")
     say(args, scheme_table(rows, snr=True))
     searched = search_table(rows)
     if searched:

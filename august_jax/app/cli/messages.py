@@ -160,9 +160,16 @@ def told(error: Exception, options: Collection[str] = ()) -> str:
         part
         for line in f"august: {text or type(error).__name__}".splitlines()
         if line.strip()
-        for part in textwrap.wrap(line, 160, break_long_words=False, subsequent_indent="  ")
+        for part in _wrapped(line)
     ]
     return "\n".join(lines if len(lines) <= _MOST_LINES else [*lines[: _MOST_LINES - 1], "  ..."])
+
+
+def _wrapped(line: str) -> list[str]:
+    """A line in pieces of at most 160 letters; one that ends in a command to take over stays whole."""
+    if re.search(r": (august|pip) ", line):
+        return [line]
+    return textwrap.wrap(line, 160, break_long_words=False, break_on_hyphens=False, subsequent_indent="  ")
 
 
 def table(rows: Sequence[Sequence[str]], *, right: bool = True) -> str:

@@ -7,6 +7,7 @@ import difflib
 import re
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple, NoReturn
 
 from august_jax import __version__
@@ -151,8 +152,8 @@ def parse(words: Sequence[str], commands: Mapping[str, Command]) -> argparse.Nam
     if "" in args.rest:
         raise UsageError(f"'': an empty argument; leave it out, or give a value\nsee: august {name} --help")
     args.command, args.options, args.words = name, tuple(_options(parser)), tuple(words)
-    args.overrides = [text for text in args.rest if _ASSIGNMENT.match(text)]
-    args.rest = [text for text in args.rest if not _ASSIGNMENT.match(text)]
+    args.overrides = [text for text in args.rest if _is_override(text)]
+    args.rest = [text for text in args.rest if not _is_override(text)]
     if args.overrides and not command.configured:
         raise UsageError(
             f"{args.overrides[0]!r}: august {name} has no configuration to override\nsee: august {name} --help"
@@ -164,6 +165,11 @@ def parse(words: Sequence[str], commands: Mapping[str, Command]) -> argparse.Nam
             f"see: august {name} --help"
         )
     return args
+
+
+def _is_override(text: str) -> bool:
+    """Fields have a section: what has none and is there is a folder, such as ``lr=3e-4``."""
+    return bool(_ASSIGNMENT.match(text)) and ("." in text.partition("=")[0] or not Path(text).exists())
 
 
 def parser_of(name: str, command: Command) -> argparse.ArgumentParser:

@@ -227,9 +227,6 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
     names = ["rcs.npz", "rcs.html", "rcs.png", "rcs.mat", "rcs.csv"]
     names += ["tmatrix.npz", "tmatrix.mat"] if matrices is not None else []
     with replacing_together(out, names) as aside:
-        if matrices is None:  # those of another craft, maybe
-            for suffix in ("npz", "mat"):
-                (out / f"tmatrix.{suffix}").unlink(missing_ok=True)
         for suffix in ("npz", "mat"):
             write_record(aside[f"rcs.{suffix}"], record, described=DESCRIBED)
             if matrices is not None:
@@ -251,6 +248,9 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
                f"{args.transmit[0]:g} and elevation {args.transmit[1]:g} degrees."),
             repeat=made["command_line"],
         )  # fmt: skip
+        if matrices is None:  # those of another craft, maybe
+            for suffix in ("npz", "mat"):
+                (out / f"tmatrix.{suffix}").unlink(missing_ok=True)
     say(
         args,
         f"{title}, half-wheelbase {airframe.half_wheelbase_m:.3g} m, {made_of}; error of the reduced body "
@@ -270,11 +270,12 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
         ),
     )
     again = options(args, "azimuth", "frequency", "permittivity", "conductivity", "preset")
+    again += ["--transmit", "0,0", "--elevation", "0", "--out", f"{out}_bistatic"]
     say(
         args,
         f"written: {out}/: {', '.join(names)} in {time.monotonic() - started:.0f} s\n"
         f"look:  {(out / 'rcs.html').resolve().as_uri()}\n"
-        f"next:  {command_line('rcs', *craft, *again, '--transmit', '0,0', '--elevation', '0', *args.overrides)}"
+        f"next:  {command_line('rcs', *craft, *again, *args.overrides)}"
         "   # seen from all sides while a transmitter stands ahead",
     )
     return {"out": str(out), "airframe": airframe.name, "cells": cells.count, **made, "summary": summary}

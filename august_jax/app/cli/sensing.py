@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from august_jax import config as configuration
 from august_jax.app.cli.common import counted, folder
-from august_jax.app.cli.messages import command_line, note
+from august_jax.app.cli.messages import UsageError, command_line, note
 from august_jax.app.cli.parser import whole
 from august_jax.app.cli.results import array_told, leave
 from august_jax.config import Config
@@ -70,6 +70,13 @@ def sensed(
     from august_jax.evaluation.bound import track_bound
 
     out = folder(args, f"august_{args.command}", configured=True)
+    if args.known is not None and not args.search and any(word.partition("=")[0] == "--known" for word in args.words):
+        raise UsageError("--known: says how many drones a search compares with; leave it out, or give --search N")
+    searched = args.search > 0 and config.data.dense_solver == "mom"
+    if searched:
+        _known(config, shot.airframe, args.known)  # what cannot be searched for is said before anything is sensed
+    elif args.search:
+        note(f"no search: data.solver={config.data.solver} makes no bodies, without which no craft can be found")
     following = [
         *following,
         (
@@ -82,8 +89,8 @@ def sensed(
     title = f"{shot.airframe.name} at {args.snr:g} dB, seen by {counted(config.array.count, 'antenna')}"
     draw = partial(plotting.clouds, track, permittivity=config.target.permittivity, title=title)
     search, bound = None, None
-    if args.search:
-        first = out / "first.png"
+    if searched:
+        first = out / f"{args.command}.first.png"
         draw(first)
         note(f"a first picture, what the networks find: {first}; a search among known drones follows")
         search, target = _searched(args, config, shot.airframe, track)
@@ -168,20 +175,33 @@ def _searched(args: argparse.Namespace, config: Config, airframe: Airframe, trac
     return search_track(track, library, config, seed=args.seed, slots=slots, craft=craft, progress=note), target
 
 
+def _known(config: Config, airframe: Airframe, most: int | None) -> tuple[str, ...]:
+    """Which craft of the configuration a search compares with, in its order: ``most`` in all with the one that flies,
+    whether it is among them or not, or every one.
+
+    Raises:
+        ValueError: two are called alike.
+    """
+    from august_jax.inference.library import check_names
+    from august_jax.scene import resolve_airframe
+
+    every = config.target.airframes
+    known = [resolve_airframe(name, config.target.half_wheelbase_m) for name in every]
+    own = [row for row, drone in enumerate(known) if drone.digest == airframe.digest]
+    others = [row for row in range(len(every)) if row not in own][: None if most is None else most - 1]
+    rows = sorted(own + others)
+    check_names(list({drone.digest: drone.name for drone in (*(known[row] for row in rows), airframe)}.values()))
+    return tuple(every[row] for row in rows)
+
+
 def _library(config: Config, airframe: Airframe, most: int | None) -> tuple[Library, int, Target]:
     """The drone that flies and others of the configuration, ``most`` in all or every one, in the configuration's order;
     which of them flies, and that one."""
     from august_jax.data import Target, lattice_of, nearest_distance, prepare_targets
     from august_jax.inference import known_craft
     from august_jax.physics import factor_body
-    from august_jax.scene import resolve_airframe
 
-    every = config.target.airframes
-    known = [resolve_airframe(name, config.target.half_wheelbase_m) for name in every]
-    own = [row for row, drone in enumerate(known) if drone.digest == airframe.digest]
-    count = len(every) if most is None else most
-    others = [row for row in range(len(every)) if row not in own][: max(count - 1, 0)]
-    names = tuple(every[row] for row in sorted(own + others))
+    names = _known(config, airframe, most)
     note("preparing the known drones, which takes half a minute each for the first time")
     targets = []
     if names:

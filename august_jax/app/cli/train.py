@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from august_jax import config as configuration
 from august_jax.app.cli.clock import told_s
-from august_jax.app.cli.common import chosen_config, devices, devices_argument, folder, hosts_arguments
+from august_jax.app.cli.common import check_hosts, chosen_config, devices, devices_argument, folder, hosts_arguments
 from august_jax.app.cli.dry import about, dry_run_argument, size, told_plan
 from august_jax.app.cli.messages import command_line, note, say
 from august_jax.app.cli.parser import Command, presets_help
@@ -68,31 +68,22 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
             )
         return _predictor(args)
     if args.dry_run:
+        check_hosts(args)
         if args.host:
             raise ConfigError("--host: a dry run is of one host; leave it out, or leave out --dry-run")
         return _plan(args)
     mesh = devices(args)
     make: Callable[[Config], tuple[Callable[[int], Batch], Dataset | Sample]]
-    if (
-        any(text.startswith("train.source=") for text in args.overrides)
-        and chosen_config(args).train.source == "stream"
-    ):
+    if _streams(args):
         config, make, source = chosen_config(args), partial(_streamed, mesh), "a stream that never repeats"
-        if args.data:
-            raise ConfigError(
-                f"--data: {args.data}, but train.source=stream makes its samples as it trains\n"
-                "leave --data out, or set train.source=stored"
-            )
     else:
         dataset, config = _stored(args)
         make, source = partial(_batches, dataset), f"{_data(args)}/"
-    from august_jax import pipeline
     from august_jax.evaluation import validator
     from august_jax.hosts import is_first
     from august_jax.training.loop import train
 
-    weights = pipeline.run_files(None if args.init == "shipped" else args.init)[1] if args.init else None
-    out = _apart(folder(args, f"august_runs/{config.preset}", configured=True), "predictor.npz", "a predictor")
+    weights, out = _weights(args), _out(args, config)
     batches, held_out = make(config)
     following = [(command_line("evaluate", str(out), "--seed", "1"), "its accuracy over SNR, on fresh samples")]
     state = train(
@@ -113,12 +104,43 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
     return {"out": str(out), "metrics": last}
 
 
+def _streams(args: argparse.Namespace) -> bool:
+    """Whether samples are made as training goes."""
+    asked = any(text.startswith("train.source=") for text in args.overrides)
+    if not asked or chosen_config(args).train.source != "stream":
+        return False
+    if args.data:
+        raise ConfigError(
+            f"--data: {args.data}, but train.source=stream makes its samples as it trains\n"
+            "leave --data out, or set train.source=stored"
+        )
+    return True
+
+
+def _weights(args: argparse.Namespace) -> Path | None:
+    """The weights that networks start from, which must be there."""
+    from august_jax import pipeline
+
+    if not args.init:
+        return None
+    try:
+        return pipeline.run_files(None if args.init == "shipped" else args.init)[1]
+    except ValueError as error:
+        raise ConfigError(str(error).replace("run: ", "--init: ", 1)) from None
+
+
+def _out(args: argparse.Namespace, config: Config) -> Path:
+    """Where networks are written to."""
+    return _apart(folder(args, f"august_runs/{config.preset}", configured=True), "predictor.npz", "a predictor")
+
+
 def _plan(args: argparse.Namespace) -> dict[str, Any]:
     """On the configuration of the data where they are there, else of the preset: what data are needed is said."""
     from august_jax.app.plan import training
 
     data, config = _data(args), chosen_config(args)
-    if config.train.source == "stream":
+    _weights(args)
+    if _streams(args):
         needs = "none: made as training goes"
     elif (data / "manifest.json").exists():
         _, config = _stored(args)
@@ -126,7 +148,7 @@ def _plan(args: argparse.Namespace) -> dict[str, Any]:
     else:
         make = command_line("simulate", "--preset", config.preset, "--out", str(data))
         needs = f"{data}/, which is not there yet: {make}"
-    out = folder(args, f"august_runs/{config.preset}", configured=True)
+    out = _out(args, config)
     note("compiling one step and timing a few, on a batch that is made up")
     plan = training(config, out, args.devices)
     each = f" on each of {plan['devices']} devices" if plan["devices"] > 1 else ""
