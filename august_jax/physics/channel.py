@@ -41,7 +41,7 @@ from august_jax.physics.checks import (
     warn_of_coarse_cells,
 )
 from august_jax.physics.green import dipole_fields
-from august_jax.physics.krylov import differentiable_once, moving_channel, solve_moving
+from august_jax.physics.krylov import LEFT_OUT, differentiable_once, moving_channel, solve_moving
 from august_jax.physics.mom import interaction_matrix, solve_dense, weighted_fields
 
 Solver = Literal["mom", "krylov", "local_field_born", "born"]
@@ -215,7 +215,19 @@ def _solved(array, receiver, cells, contrast, solver, frequency_hz):
         # The stationary form wants both ends' fields solved for: one joint problem, of which one block is the answer.
         both = jnp.concatenate(fields, axis=1)
         solution = solve_moving(*jax.lax.stop_gradient((cells, k, contrast, both)))
-        channel = k**2 * moving_channel(cells, k, contrast, both, solution)
+
+        def of_few(cells, contrast, both):
+            return moving_channel(cells, k, contrast, both, solution)
+
+        @jax.checkpoint  # of what is seldom taken nothing is kept for a gradient
+        def of_all(cells, contrast, both):
+            return both.T @ _mom(cells, contrast, both, k)
+
+        if both.shape[1] == solution.combinations.shape[1]:
+            channel = of_few(cells, contrast, both)
+        else:
+            channel = jax.lax.cond(solution.missed > LEFT_OUT, of_all, of_few, cells, contrast, both)
+        channel = k**2 * channel
         channel = differentiable_once(channel[-fields[-1].shape[1] :, : fields[0].shape[1]])
     else:
         channel = k**2 * fields[-1].T @ _POLARIZATIONS[solver](cells, contrast, fields[0], k)

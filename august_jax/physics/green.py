@@ -33,6 +33,13 @@ def inner(first: Num[Array, "... 3"], second: Num[Array, "... 3"]) -> Num[Array,
     return (first[..., 0] * second[..., 0] + first[..., 1] * second[..., 1]) + first[..., 2] * second[..., 2]
 
 
+def length(vector: Float[Array, "*shape 3"]) -> Float[Array, "*shape"]:
+    """|v| (...,) of vectors (..., 3), whose derivative at zero is zero."""
+    squared = inner(vector, vector)
+    some = squared > 0.0
+    return jnp.where(some, jnp.sqrt(jnp.where(some, squared, 1.0)), 0.0)
+
+
 def path_difference(offset: Float[Array, "... 3"], base: Float[Array, "... 3"]) -> Float[Array, "..."]:
     """|b - o| - |b|: how much nearer or farther a place b is from a point o than from the origin, to all digits.
 
@@ -41,13 +48,14 @@ def path_difference(offset: Float[Array, "... 3"], base: Float[Array, "... 3"]) 
 
     Args:
         offset: o (..., 3) [m], short beside b; an antenna about its array's centre, say.
-        base: b (3,) or (..., 3) [m], not zero, and nowhere equal to o where derivatives are taken.
+        base: b (3,) or (..., 3) [m], nowhere equal to o where derivatives are taken. At zero |b| counts as constant
+            there, as in all that goes with it.
 
     Returns:
         (...,) [m], of the precision of the arguments. Differentiable in both.
     """
     rest = base - offset
-    return inner(offset, offset - 2.0 * base) / (jnp.sqrt(inner(rest, rest)) + jnp.sqrt(inner(base, base)))
+    return inner(offset, offset - 2.0 * base) / (jnp.sqrt(inner(rest, rest)) + length(base))
 
 
 def dyadic_green(displacement: Float[Array, "*pairs 3"], wavenumber: ArrayLike) -> Complex[jax.Array, "*pairs 3 3"]:
@@ -218,10 +226,11 @@ def radial_factors(kr: Array) -> tuple[Array, Array]:
 
 def _long_distance(vector):
     """|vector| as a number of twelve bits, a constant for differentiation, and the rest with all its digits."""
-    length = jnp.sqrt(inner(vector, vector))
-    unit = jnp.exp2(jnp.ceil(jnp.log2(jax.lax.stop_gradient(length))) - 12.0)
-    whole, coarse = (jax.lax.stop_gradient(jnp.round(value / unit) * unit) for value in (length, vector))
+    long = length(vector)
+    size = jnp.where(long > 0.0, jax.lax.stop_gradient(long), 1.0)
+    unit = jnp.exp2(jnp.ceil(jnp.log2(size)) - 12.0)
+    whole, coarse = (jax.lax.stop_gradient(jnp.round(value / unit) * unit) for value in (long, vector))
     fine = vector - coarse
     # |vector|^2 - whole^2: the squares of twelve-bit numbers and their sum are exact, the other terms are small.
     excess = (inner(coarse, coarse) - whole**2) + inner(fine, 2.0 * coarse + fine)
-    return whole, excess / (length + whole)
+    return whole, excess / jnp.where(long > 0.0, long + whole, 1.0)

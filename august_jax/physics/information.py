@@ -241,10 +241,11 @@ def unknown_gain_position_bound(
 
 
 def _toward(array, place):
-    """Unit vectors (..., 3) from an array's centre to places (..., 3)."""
+    """Unit vectors (..., 3) from an array's centre to places (..., 3); zero in the centre."""
     module = np if isinstance(array, PlanarArray) and isinstance(place, np.ndarray) else jnp
     offset = place - module.mean(module.asarray(array.positions), axis=0)
-    return offset / module.sqrt(module.sum(offset**2, axis=-1, keepdims=True))
+    distance = module.sqrt(module.sum(offset**2, axis=-1, keepdims=True))
+    return offset / module.where(distance > 0.0, distance, 1.0)
 
 
 def _slopes(body, array, receiver, rotation, position, permittivity, conductivity, planes=()):

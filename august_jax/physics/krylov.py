@@ -7,7 +7,8 @@ With y = D^{-1/2} P the system of :mod:`august_jax.physics.mom` reads
 A complex symmetric, A = A^T. Four properties of it are used:
 
 - The N_b incident fields on a body some wavelengths away span few dimensions. Only the leading right singular vectors V
-  of b are solved for, b V. By the form below H errs by the square of what V leaves out.
+  of b are solved for, b V. By the form below H errs by the square of what V leaves out; the fields of antennas on all
+  sides have more, and a solution says what its columns miss.
 - What a cell does to itself, the block K'_ii, is undone exactly: with C_i C_i^T = (I - chi_i K'_ii)^{-1} and y = C z,
 
       C^T A C z = C^T b,    C^T A C = I - C^T D^{1/2} (K' - diag K'_ii) D^{1/2} C,
@@ -50,6 +51,9 @@ TOLERANCE = 3e-5
 _STRONG, _COMPRESSION = 1e-2, 1e-5  # singular values of the incident fields that are told apart first, and left out
 _MOST = 16  # columns that are solved for
 _STEPS = 300
+LEFT_OUT = 1e-6
+"""The most that :attr:`KrylovSolution.missed` may be for a channel of these columns alone: it errs by some ten times as
+much."""
 
 
 class KrylovSolution(NamedTuple):
@@ -62,6 +66,7 @@ class KrylovSolution(NamedTuple):
         residual: largest |b - A y|/|b| over the columns, or the square of what the columns leave out, real.
         steps: Krylov steps taken, int32.
         by_lu: whether LU had to take over, bool.
+        missed: the square of what the columns leave out, relative to the largest singular value, real.
     """
 
     scaled: Complex[Array, "rows c"]
@@ -70,6 +75,7 @@ class KrylovSolution(NamedTuple):
     residual: Float[Array, ""]
     steps: Int[Array, ""]
     by_lu: Bool[Array, ""]
+    missed: Float[Array, ""]
 
 
 def solve_krylov(
@@ -122,7 +128,7 @@ def solve_coupled(
     couple: Callable[[jax.Array], jax.Array],
     own: jax.Array,
     matrix: Callable[[], jax.Array],
-    contrast: jax.Array,
+    contrast: ArrayLike,
     fields: jax.Array,
     *,
     tolerance: ArrayLike = TOLERANCE,
@@ -171,7 +177,7 @@ def solve_coupled(
         return y, inner, _relative(right - y + root * inner, right)
 
     y, inner, residual = jax.lax.cond(failed, by_lu, lambda _: (y, inner, residual), None)
-    return KrylovSolution(y, few + inner, vectors, jnp.maximum(residual, missed), taken, failed)
+    return KrylovSolution(y, few + inner, vectors, jnp.maximum(residual, missed), taken, failed, missed)
 
 
 def stationary_channel(

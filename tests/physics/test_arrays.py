@@ -1,14 +1,29 @@
 """Arrays of any positions and polarisations, at one end or at both; and that only relative places matter."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from lattices import cross, turned
 
-from august_jax.physics import SOLVERS, AntennaArray, PlanarArray, body_channel, factor_body, sensing_channel
+from august_jax.physics import (
+    SOLVERS,
+    AntennaArray,
+    PlanarArray,
+    body_channel,
+    dipole_fields,
+    factor_body,
+    fisher_information,
+    interaction_matrix,
+    sensing_channel,
+    solve_krylov,
+)
+from august_jax.physics.mom import weighted_fields
 
 PLANAR = PlanarArray(4, 2, 3e9)
+K = PLANAR.wavenumber
 PLACE = np.array([1.0, 2.5, 0.7])
 BODY_CELLS = cross()
 CELLS = BODY_CELLS._replace(positions=BODY_CELLS.positions + PLACE)
@@ -149,3 +164,52 @@ def test_a_receiver_inside_the_body_is_refused(body):
         sensing_channel(PLANAR, CELLS, CHI, receiver=inside)
     with pytest.raises(ValueError, match="nearest_m"):
         body_channel(body, PLANAR, np.eye(3), PLACE, CHI, receiver=inside)
+
+
+def ring(count, radius_m=3.0):
+    """Antennas on all sides of the origin, level ones on a circle for eight and fewer, else over a sphere."""
+    number = np.arange(count)
+    height = np.zeros(count) if count <= 8 else 1.0 - 2.0 * (number + 0.5) / count
+    angle = 2.0 * np.pi * number / count if count <= 8 else number * np.pi * (3.0 - np.sqrt(5.0))
+    level = np.sqrt(1.0 - height**2)
+    towards = np.stack([level * np.cos(angle), level * np.sin(angle), height], axis=1)
+    moments = np.cross(towards, [1.0, 2.0, 4.0])
+    return AntennaArray(radius_m * towards, moments / np.linalg.norm(moments, axis=1, keepdims=True), 3e9)
+
+
+def test_a_body_in_the_very_middle_of_its_antennas_has_a_channel_and_slopes(body):
+    """Middles of body and antennas coincide: the long way between them has length zero, and no direction."""
+    around = ring(8)
+    exact = in_double(around, BODY_CELLS._replace(positions=BODY_CELLS.positions + [1e-9, 0.0, 0.0]))
+    whole = in_double(around, BODY_CELLS)
+    assert np.isfinite(whole).all() and off(whole, exact) < 1e-6
+
+    def at(place):
+        return body_channel(body, around, jnp.eye(3), place, CHI)
+
+    assert off(at(jnp.zeros(3)), whole) < 1e-4
+    step = np.float32(2e-3)
+    for axis in np.eye(3, dtype=np.float32):
+        _, slope = jax.jvp(at, (jnp.zeros(3),), (jnp.asarray(axis),))
+        difference = (at(step * axis) - at(-step * axis)) / (2.0 * step)
+        assert jnp.linalg.norm(slope - difference) < 0.02 * jnp.linalg.norm(difference)
+    unit = fisher_information(body, around, np.eye(3)[None], np.zeros((1, 3)), 3.0, 5e-3, 1.0)
+    assert np.isfinite(unit).all()
+
+
+def test_krylov_solves_for_all_antennas_where_a_few_combinations_do_not_hold_them():
+    """24 antennas on all sides: 16 combinations of their fields leave out 7 % of the largest."""
+    around, cells = ring(24), jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), cross(arm=7))
+    weights = np.random.default_rng(4).normal(size=(24, 24))
+
+    @partial(jax.jit, static_argnums=1)
+    def value(contrast, solver):
+        channel = sensing_channel(around, cells, contrast * (1.0 + 0.02j), solver=solver)
+        return 1e6 * jnp.sum(weights * channel.real), channel
+
+    found, wanted = (jax.value_and_grad(value, has_aux=True)(2.0, solver) for solver in ("krylov", "mom"))
+    assert off(np.asarray(found[0][1]), np.asarray(wanted[0][1])) < 1e-5
+    assert abs(found[1] - wanted[1]) < 1e-3 * abs(wanted[1])
+    fields = dipole_fields(cells.sites(), *(jnp.asarray(part) for part in (around.positions, around.moments)), K)
+    solution = solve_krylov(interaction_matrix(cells, K), 2.0, weighted_fields(cells, fields))
+    assert solution.missed > 1e-3 and solution.residual >= solution.missed
