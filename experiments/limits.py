@@ -4,9 +4,10 @@
     python experiments/limits.py draw                  reads it, writes experiments/results/limits.png
 
 The Fisher information of the full-wave channel (august_jax.physics.information), for a known airframe of unknown
-place, attitude and material and an unknown complex gain, gives the error that no estimator can beat on average under
-the prior. Drawn over range it is the soft boundary of sensing: where the bound reaches the prior, the echo says
-nothing about the place any more.
+place, attitude and material and an unknown complex gain, gives the error that is left to an estimator about the truth,
+with a Gaussian prior in place of the uniform one. Where the echo tells more than the prior nobody does better; where it
+does not, the figure is approximate, and errors can lie below it. Drawn over range it is the soft boundary of sensing:
+where the bound reaches the prior, the echo says nothing about the place any more.
 
 A bound knows one explanation of the echo. So the same is asked of the posterior of a known airframe
 (august_jax.inference) over slots of the preset `laptop`: what it expects its means to err by, which counts all

@@ -29,7 +29,7 @@ from jaxtyping import Complex, Float, Inexact
 
 from august_jax.arrays import Array, ArrayLike
 from august_jax.constants import SPEED_OF_LIGHT
-from august_jax.physics.array import AntennaArray, PlanarArray
+from august_jax.physics.array import AntennaArray, PlanarArray, wavenumber
 from august_jax.physics.body.body import Body, body_channel, judge_contrast
 from august_jax.physics.body.table import Table, check_contrast_range, check_place, table_channel
 from august_jax.physics.checks import (
@@ -138,24 +138,49 @@ def slow_time_channels(
     if exact and is_concrete((ends, rotation, rotors)) and len(places):
         for each, centre in zip(bodies, [np.zeros(3), *(np.asarray(rotor.centre_m) for rotor in rotors)], strict=True):
             _check_paths(each, array, receiver, rotation, places + np.asarray(rotation, np.float64) @ centre, ends)
-    places = jnp.asarray(places, jnp.float32)
     turn = jnp.asarray(rotation, jnp.float32)
     still = is_concrete(velocity_m_s) and not np.any(np.asarray(velocity_m_s))
     if still:
-        alone = _channel(hull, array, turn, places[0], contrast, receiver)
+        place, phase = _rounded(hull, array, receiver, places[:1])
+        alone = _channel(hull, array, turn, place[0], contrast, receiver) * phase[0]
         total = jnp.broadcast_to(alone, (len(places), *alone.shape))
     else:
-        total = _moved(hull, array, receiver, jnp.broadcast_to(turn, (len(places), 3, 3)), places, contrast)
+        turns = jnp.broadcast_to(turn, (len(places), 3, 3))
+        total = _moved(hull, array, receiver, turns, *_rounded(hull, array, receiver, places), contrast)
     for rotor in rotors:
         # whole turns are taken out first, in double precision where that can be
         sure = np if is_concrete((times_s, rotor.rate_hz)) else jnp
         whole = sure.asarray(times_s) * rotor.rate_hz
         angles = jnp.asarray(2.0 * np.pi * (whole - sure.floor(whole)) + rotor.phase_rad, jnp.float32)
         turns = jnp.einsum("ab,tbc->tac", turn, about_z(angles))
+        if exact and is_concrete((rotation, rotor.centre_m)):
+            centres = places + np.asarray(rotation, np.float64) @ np.asarray(rotor.centre_m, np.float64)
+        else:
+            centres = jnp.asarray(places) + turn @ jnp.asarray(rotor.centre_m, jnp.float32)
         total = total + _moved(
-            rotor.body, array, receiver, turns, places + turn @ jnp.asarray(rotor.centre_m, jnp.float32), contrast
+            rotor.body, array, receiver, turns, *_rounded(rotor.body, array, receiver, centres), contrast
         )
     return total
+
+
+def _rounded(body, array, receiver, places):
+    """Places (T, 3) in single precision, and the phases (T, 1, 1), or (T, F, 1, 1), that rounding them took: one of the
+    last bits of a kilometre is 0.01 rad at 10 GHz, another at every pulse, which spreads over all shifts.
+
+    Where places or antennas are traced nobody knows what was rounded, and the phases are one.
+    """
+    single = jnp.asarray(places, jnp.float32)
+    ends = array, array if receiver is None else receiver
+    tones = np.array(body.frequencies_hz)
+    if not (isinstance(places, np.ndarray) and is_concrete(ends)):
+        return single, jnp.ones((len(single), *(1,) * (2 if body.single else 3)), jnp.complex64)
+    farther = 0.0
+    for end in ends:
+        centre = np.asarray(end.positions, np.float64).mean(axis=0)
+        true, taken = places - centre, np.asarray(single) - centre.astype(np.float32)
+        farther = farther + np.sum((true - taken) * true, axis=-1) / np.maximum(np.linalg.norm(true, axis=-1), 1e-12)
+    phases = np.exp(1j * np.array([wavenumber(tone) for tone in tones]) * farther[:, None])
+    return single, jnp.asarray(phases[:, 0, None, None] if body.single else phases[..., None, None], jnp.complex64)
 
 
 def _channel(body, array, rotation, place, contrast, receiver):
@@ -184,11 +209,11 @@ def about_z(angles_rad: Float[Array, "*shape"]) -> Float[jax.Array, "*shape 3 3"
 
 
 @jax.jit
-def _moved(body, array, receiver, turns, places, contrast):
+def _moved(body, array, receiver, turns, places, phases, contrast):
     def one(pose):
-        return _channel(body, array, pose[0], pose[1], contrast, receiver)
+        return _channel(body, array, pose[0], pose[1], contrast, receiver) * pose[2]
 
-    return jax.lax.map(one, (turns, places), batch_size=_TOGETHER)
+    return jax.lax.map(one, (turns, places, phases), batch_size=_TOGETHER)
 
 
 def doppler_spectrum(

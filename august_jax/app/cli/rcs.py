@@ -199,7 +199,7 @@ def _run(args: argparse.Namespace) -> dict[str, Any]:
         **kept(args, config, made.get("craft")),
     }
     summary: list[dict[str, Any]] = [
-        {"frequency_hz": each, "polarisation": name, **_summary(entries[name][..., row], elevation)}
+        {"frequency_hz": each, "polarisation": name, **_summary(entries[name][..., row], elevation, azimuth)}
         for row, each in enumerate(hertz)
         for name in _CHANNELS
     ]
@@ -293,15 +293,19 @@ def _far(radius_m: float) -> float:
     return max(2.0, math.ceil(5.0 * radius_m))
 
 
-def _summary(values, elevation_deg) -> dict[str, float]:
-    """Mean of the cross-section over the directions, by solid angle, and median, least and most of them [dBsm]."""
+def _summary(values, elevation_deg, azimuth_deg) -> dict[str, float]:
+    """Mean and median of the cross-section over the directions, by solid angle, and least and most of them [dBsm]."""
     import numpy as np
 
-    weight = np.cos(np.radians(elevation_deg)) + 1e-3  # poles count a little, alone they count
-    mean = np.average(10.0 ** (values / 10.0), axis=0, weights=weight).mean()
+    weight = np.repeat(np.cos(np.radians(elevation_deg))[:, None] + 1e-3, len(azimuth_deg), axis=1)  # poles alone count
+    if azimuth_deg[-1] - azimuth_deg[0] > 360.0 - 1e-6:  # both ends are one direction
+        weight[:, [0, -1]] *= 0.5
+    mean = np.average(10.0 ** (values / 10.0), weights=weight)
+    order = np.argsort(values, axis=None)
+    below = np.cumsum(weight.ravel()[order])
     return {
         "mean_dbsm": float(10.0 * np.log10(mean)),
-        "median_dbsm": float(np.median(values)),
+        "median_dbsm": float(values.ravel()[order][np.searchsorted(below, 0.5 * below[-1])]),
         "least_dbsm": float(values.min()),
         "most_dbsm": float(values.max()),
     }
