@@ -160,6 +160,7 @@ def test_craft_take_turns_within_a_batch_and_from_batch_to_batch(targets):
         assert craft == [(7 * step + row) % 2 for row in range(7)]
 
 
+@pytest.mark.slow  # a stored run does in the ordinary suite, and a stream's batch is a function of the step alone there
 def test_a_streamed_run_continues_to_the_same_numbers(tmp_path, batches, targets):
     config = override(CONFIG, ["train.steps=4", "train.save_every=2", "train.log_every=1"])
     whole = train(config, batches, tmp_path / "whole")

@@ -197,7 +197,8 @@ def test_a_body_in_the_very_middle_of_its_antennas_has_a_channel_and_slopes(body
     assert np.isfinite(unit).all()
 
 
-def test_krylov_solves_for_all_antennas_where_a_few_combinations_do_not_hold_them():
+@pytest.mark.parametrize("sloped", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_krylov_solves_for_all_antennas_where_a_few_combinations_do_not_hold_them(sloped):
     """24 antennas on all sides: 16 combinations of their fields leave out 7 % of the largest."""
     around, cells = ring(24), jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), cross(arm=7))
     weights = np.random.default_rng(4).normal(size=(24, 24))
@@ -207,9 +208,12 @@ def test_krylov_solves_for_all_antennas_where_a_few_combinations_do_not_hold_the
         channel = sensing_channel(around, cells, contrast * (1.0 + 0.02j), solver=solver)
         return 1e6 * jnp.sum(weights * channel.real), channel
 
-    found, wanted = (jax.value_and_grad(value, has_aux=True)(2.0, solver) for solver in ("krylov", "mom"))
-    assert off(np.asarray(found[0][1]), np.asarray(wanted[0][1])) < 1e-5
-    assert abs(found[1] - wanted[1]) < 1e-3 * abs(wanted[1])
+    if sloped:
+        found, wanted = (jax.value_and_grad(value, has_aux=True)(2.0, solver) for solver in ("krylov", "mom"))
+        assert abs(found[1] - wanted[1]) < 1e-3 * abs(wanted[1])
+        return
+    found, wanted = (value(2.0, solver)[1] for solver in ("krylov", "mom"))
+    assert off(np.asarray(found), np.asarray(wanted)) < 1e-5
     fields = dipole_fields(cells.sites(), *(jnp.asarray(part) for part in (around.positions, around.moments)), K)
     solution = solve_krylov(interaction_matrix(cells, K), 2.0, weighted_fields(cells, fields))
     assert solution.missed > 1e-3 and solution.residual >= solution.missed
