@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
 import subprocess
@@ -97,6 +98,20 @@ def assert_fits(page: Path, *, width: int, height: int) -> None:
     found = found_in(page, WIDER, width=width, height=height)
     assert (found["wide"], found["needs"]) == (width, width)
     assert found["out"] == [] and found["cut"] == []
+
+
+def assert_drawn(page: Path, name: str, folder: Path, looks: dict[str, tuple[int, int]], least: int) -> None:
+    """Pictures of the page, each larger than ``least`` bytes; to look at where ``AUGUST_SCREENSHOTS`` names a folder.
+
+    Args:
+        looks: what it is on, ``desk``, ``telephone`` or ``dark`` -> width and height.
+    """
+    folder = Path(os.environ.get("AUGUST_SCREENSHOTS", folder))
+    folder.mkdir(parents=True, exist_ok=True)
+    for look, (width, height) in looks.items():
+        png = folder / f"{name}_{look}.png"
+        picture(page, png, width=width, height=height, flags=(DARK,) if look == "dark" else ())
+        assert png.stat().st_size > least, look
 
 
 def assert_legible(page: Path, flags: tuple[str, ...], dark: bool) -> None:

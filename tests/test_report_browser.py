@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from browser import BROWSER, DARK, PHONE, WIDE, assert_fits, assert_legible, found_in, picture
+from browser import BROWSER, DARK, PHONE, WIDE, assert_drawn, assert_fits, assert_legible, found_in
 from made_up_track import made_up_track
 from test_report import write
 
@@ -200,13 +198,5 @@ def test_less_than_a_flight_with_clouds_is_shown_too(tmp_path, kind):
 
 
 def test_pictures_are_drawn(page, tmp_path):
-    """To look at where ``AUGUST_SCREENSHOTS`` names a folder."""
-    folder = Path(os.environ.get("AUGUST_SCREENSHOTS", tmp_path))
-    folder.mkdir(parents=True, exist_ok=True)
-    looks = {"desk": (1280, 2600, ()), "telephone": (390, 3600, ()), "dark": (1280, 2600, (DARK,))}
-    sizes = {}
-    for name, (width, height, flags) in looks.items():
-        png = folder / f"report_{name}.png"
-        picture(page, png, width=width, height=height, flags=flags)
-        sizes[name] = png.stat().st_size
-    assert all(size > 60_000 for size in sizes.values())  # a page without its clouds packs into 40 kB
+    looks = {"desk": (1280, 2600), "telephone": (390, 3600), "dark": (1280, 2600)}
+    assert_drawn(page, "report", tmp_path, looks, 60_000)  # a page without its clouds packs into 40 kB

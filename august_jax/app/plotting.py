@@ -124,11 +124,10 @@ def training_curves(metrics_jsonl: str | Path, png: str | Path) -> None:
     for index, panel in enumerate(panels):
         axes = figure.add_subplot(-(-len(panels) // columns), columns, index + 1)
         drawn = []
-        for name, colour in ((panel.name, MODEL), *(((panel.base, BASE),) if panel.base else ())):
-            pairs = [(line["step"], line[name]) for line in lines if line.get(name) is not None]
-            if not pairs:
+        for name, colour in ((panel.name, MODEL), (panel.base, BASE)):
+            if name is None:
                 continue
-            steps, values = np.array(pairs).T
+            steps, values = np.array([(line["step"], line[name]) for line in lines if line.get(name) is not None]).T
             drawn.append(values)
             axes.plot(steps, values, color=colour, lw=0.8, alpha=0.35 if len(values) > 20 else 1.0)
             if len(values) > 20:

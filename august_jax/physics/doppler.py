@@ -135,9 +135,10 @@ def slow_time_channels(
     ops = np if exact else jnp
     places = ops.asarray(translation) + ops.asarray(times_s)[:, None] * ops.asarray(velocity_m_s)
     ends = [end for end in (array, receiver) if end is not None]
+    paths = [places, *(_carried(places, rotation, rotor.centre_m) for rotor in rotors)]
     if exact and is_concrete((ends, rotation, rotors)) and len(places):
-        for each, centre in zip(bodies, [np.zeros(3), *(np.asarray(rotor.centre_m) for rotor in rotors)], strict=True):
-            _check_paths(each, array, receiver, rotation, places + np.asarray(rotation, np.float64) @ centre, ends)
+        for each, path in zip(bodies, paths, strict=True):
+            _check_paths(each, array, receiver, rotation, path, ends)
     turn = jnp.asarray(rotation, jnp.float32)
     still = is_concrete(velocity_m_s) and not np.any(np.asarray(velocity_m_s))
     if still:
@@ -147,20 +148,23 @@ def slow_time_channels(
     else:
         turns = jnp.broadcast_to(turn, (len(places), 3, 3))
         total = _moved(hull, array, receiver, turns, *_rounded(hull, array, receiver, places), contrast)
-    for rotor in rotors:
+    for rotor, path in zip(rotors, paths[1:], strict=True):
         # whole turns are taken out first, in double precision where that can be
         sure = np if is_concrete((times_s, rotor.rate_hz)) else jnp
         whole = sure.asarray(times_s) * rotor.rate_hz
         angles = jnp.asarray(2.0 * np.pi * (whole - sure.floor(whole)) + rotor.phase_rad, jnp.float32)
         turns = jnp.einsum("ab,tbc->tac", turn, about_z(angles))
-        if exact and is_concrete((rotation, rotor.centre_m)):
-            centres = places + np.asarray(rotation, np.float64) @ np.asarray(rotor.centre_m, np.float64)
-        else:
-            centres = jnp.asarray(places) + turn @ jnp.asarray(rotor.centre_m, jnp.float32)
         total = total + _moved(
-            rotor.body, array, receiver, turns, *_rounded(rotor.body, array, receiver, centres), contrast
+            rotor.body, array, receiver, turns, *_rounded(rotor.body, array, receiver, path), contrast
         )
     return total
+
+
+def _carried(places, rotation, centre):
+    """Where a craft at places (T, 3) carries a point of its frame (T, 3), in double precision where that can be."""
+    if isinstance(places, np.ndarray) and is_concrete((rotation, centre)):
+        return places + np.asarray(rotation, np.float64) @ np.asarray(centre, np.float64)
+    return jnp.asarray(places) + jnp.asarray(rotation, jnp.float32) @ jnp.asarray(centre, jnp.float32)
 
 
 def _rounded(body, array, receiver, places):
@@ -171,7 +175,6 @@ def _rounded(body, array, receiver, places):
     """
     single = jnp.asarray(places, jnp.float32)
     ends = array, array if receiver is None else receiver
-    tones = np.array(body.frequencies_hz)
     if not (isinstance(places, np.ndarray) and is_concrete(ends)):
         return single, jnp.ones((len(single), *(1,) * (2 if body.single else 3)), jnp.complex64)
     farther = 0.0
@@ -179,7 +182,7 @@ def _rounded(body, array, receiver, places):
         centre = np.asarray(end.positions, np.float64).mean(axis=0)
         true, taken = places - centre, np.asarray(single) - centre.astype(np.float32)
         farther = farther + np.sum((true - taken) * true, axis=-1) / np.maximum(np.linalg.norm(true, axis=-1), 1e-12)
-    phases = np.exp(1j * np.array([wavenumber(tone) for tone in tones]) * farther[:, None])
+    phases = np.exp(1j * np.array([wavenumber(tone) for tone in body.frequencies_hz]) * farther[:, None])
     return single, jnp.asarray(phases[:, 0, None, None] if body.single else phases[..., None, None], jnp.complex64)
 
 

@@ -16,7 +16,7 @@ import pytest
 import scipy.io
 import trimesh
 from made_up_posterior import search_is_made_up
-from test_report import payload
+from pages import payload
 
 from august_jax.app import cli
 from august_jax.app.cli.parser import parse

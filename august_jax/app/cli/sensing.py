@@ -72,9 +72,9 @@ def sensed(
     out = folder(args, f"august_{args.command}", configured=True)
     if args.known is not None and not args.search and any(word.partition("=")[0] == "--known" for word in args.words):
         raise UsageError("--known: says how many drones a search compares with; leave it out, or give --search N")
-    searched = args.search > 0 and config.data.dense_solver == "mom"
-    if searched:
-        _known(config, shot.airframe, args.known)  # what cannot be searched for is said before anything is sensed
+    known: tuple[str, ...] | None = None
+    if args.search and config.data.dense_solver == "mom":
+        known = _known(config, shot.airframe, args.known)  # what cannot be searched for is said before it is sensed
     elif args.search:
         note(f"no search: data.solver={config.data.solver} makes no bodies, without which no craft can be found")
     following = [
@@ -89,11 +89,11 @@ def sensed(
     title = f"{shot.airframe.name} at {args.snr:g} dB, seen by {counted(config.array.count, 'antenna')}"
     draw = partial(plotting.clouds, track, permittivity=config.target.permittivity, title=title)
     search, bound = None, None
-    if searched:
+    if known is not None:
         first = out / f"{args.command}.first.png"
         draw(first)
         note(f"a first picture, what the networks find: {first}; a search among known drones follows")
-        search, target = _searched(args, config, shot.airframe, track)
+        search, target = _searched(args, config, shot.airframe, known, track)
         note("working out the bound")
         bound = track_bound(track, target, config, args.snr)
         first.unlink(missing_ok=True)  # the whole picture follows
@@ -164,13 +164,15 @@ def _shown(found: Found, names: Sequence[str]) -> Shown:
     return Shown(label, np.asarray(cloud.points)[0], np.asarray(cloud.permittivity)[0], np.asarray(answer.normal)[0])
 
 
-def _searched(args: argparse.Namespace, config: Config, airframe: Airframe, track: Track) -> tuple[Search, Target]:
+def _searched(
+    args: argparse.Namespace, config: Config, airframe: Airframe, known: tuple[str, ...], track: Track
+) -> tuple[Search, Target]:
     """A search of the last slot, and of others spread over the flight, ``--search`` in all; and what flies."""
     import numpy as np
 
     from august_jax.schemes.matched_field import search_track
 
-    library, craft, target = _library(config, airframe, args.known)
+    library, craft, target = _library(config, airframe, known)
     slots = np.unique(np.linspace(track.slots - 1, 0, min(args.search, track.slots)).round().astype(int)).tolist()
     return search_track(track, library, config, seed=args.seed, slots=slots, craft=craft, progress=note), target
 
@@ -194,14 +196,13 @@ def _known(config: Config, airframe: Airframe, most: int | None) -> tuple[str, .
     return tuple(every[row] for row in rows)
 
 
-def _library(config: Config, airframe: Airframe, most: int | None) -> tuple[Library, int, Target]:
+def _library(config: Config, airframe: Airframe, names: tuple[str, ...]) -> tuple[Library, int, Target]:
     """The drone that flies and others of the configuration, ``most`` in all or every one, in the configuration's order;
     which of them flies, and that one."""
     from august_jax.data import Target, lattice_of, nearest_distance, prepare_targets
     from august_jax.inference import known_craft
     from august_jax.physics import factor_body
 
-    names = _known(config, airframe, most)
     note("preparing the known drones, which takes half a minute each for the first time")
     targets = []
     if names:
